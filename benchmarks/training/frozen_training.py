@@ -26,7 +26,6 @@ from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians, offsets_name, own_logits_name, sh_names
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
-from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.session.run_logger import RunLogger
 from thermosplat.training.trainer import Trainer
@@ -135,7 +134,7 @@ def warm_up(trainer: Trainer) -> None:
     """Puts all frames on the device, compiles kernels, and on CUDA lets the step be captured."""
     for index in range(len(trainer.frames)):
         trainer.frames[index]
-    run_steps(trainer, len(trainer.frames) + 5 if isinstance(trainer.steps, CapturedSteps) else 3)
+    run_steps(trainer, len(trainer.frames) + 5 if trainer.steps.recordings is not None else 3)
 
 
 def wait(device: torch.device) -> None:

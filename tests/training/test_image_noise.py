@@ -21,9 +21,9 @@ from thermosplat.training.image_noise import (
     smoothness_for_noise,
     training_noise,
 )
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import many_frames, toy_run_config, toy_trainer, without
+from toy_run import many_frames, step_gradients, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
 
 HEIGHT, WIDTH = 240, 320
@@ -148,10 +148,7 @@ def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
     once = toy_trainer(tmp_path / "b", toy_run_config(spectra={"thermal": {"smoothness": 0.0}}), capture)
     assert once.image_notes == ()
     kind = StepKind(0, densifying=False)
-    terms, of_once = (
-        run.device_step.gradients(run.frames[0], kind, fixed_capacity=False).losses["thermal"]
-        for run in (trainer, once)
-    )
+    terms, of_once = (step_gradients(run, kind).losses["thermal"] for run in (trainer, once))
     assert terms.item() == pytest.approx(weight * of_once.item(), rel=1e-5)
 
 
@@ -255,7 +252,7 @@ def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:
     assert 0.3 > weights["rgb"] > 1.5 * weights["nir"] > 1.5 * 0.05
     assert (weights["thermal"], weights["red"]) == (0.3, 0.0)
     assert [note.split(" images")[0] for note in trainer.image_notes] == ["Noise of the RGB", "Noise of the NIR"]
-    terms = trainer.device_step.gradients(trainer.frames[0], StepKind(0, densifying=False), fixed_capacity=False).losses
+    terms = step_gradients(trainer, StepKind(0, densifying=False)).losses
     assert [name for name in terms if name.endswith("smoothness")] == [
         "rgb_smoothness",
         "thermal_smoothness",

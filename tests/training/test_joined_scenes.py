@@ -25,8 +25,8 @@ from thermosplat.torch_bridge.host_rows import on_cpu
 from thermosplat.training import image_noise
 from thermosplat.training.joined_scenes import joined, seed_of_scene, steps_of_scene, thinned_logits
 from thermosplat.training.session.interruption import TrainingInterrupted
+from thermosplat.training.step_kind import StepValues
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepValues
 from toy_run import (
     assert_same_state,
     many_frames,

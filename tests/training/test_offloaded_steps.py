@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from thermosplat.training import trainer as trainer_module
-from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Decision
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import Differentiated
@@ -19,7 +18,7 @@ def trainer_of(path: Path, said: list[str]) -> Trainer:
     """A trainer that has moments of 40 of its 60 Gaussians on the device."""
     trainer = toy_trainer(path, toy_run_config(offload="on"), many_frames(toy_capture()))
     trainer.state.keep_moments_on_device({"shared": 40})
-    trainer.steps = OffloadedSteps(trainer.device_step, said.append)
+    trainer.logger.say = said.append  # type: ignore[method-assign]
     return trainer
 
 
@@ -28,7 +27,6 @@ def test_a_decision_is_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     decision = Decision("moments", "Moments lie here and there.", {"shared": 40})
     monkeypatch.setattr(trainer_module, "decided", lambda *_: decision)
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
-    assert isinstance(trainer.steps, OffloadedSteps)
     assert trainer.offload_notes == ("Moments lie here and there.",)
     while trainer.step < 5:
         trainer._train_step()

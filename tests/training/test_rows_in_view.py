@@ -13,9 +13,9 @@ from thermosplat.fused.row_adam import RowAdam
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
 from thermosplat.torch_bridge.host_rows import has_padded_rows
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import many_frames, state_tensors, step_gradients, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 KINDS = ["moments", "on", "on, some moments on the device"]
@@ -147,7 +147,7 @@ def test_an_interrupted_step_leaves_no_rows(tmp_path: Path) -> None:
     trainer = trained(tmp_path, 1, offload="on")
     optimizers = trainer.state.optimizers["shared"]
     kind = StepKind(1, densifying=True)
-    done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+    done = step_gradients(trainer, kind)
     assert done.observed is not None
     rows = optimizers["features"].rows
     assert rows is not None

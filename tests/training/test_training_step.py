@@ -11,8 +11,8 @@ import torch
 from thermosplat.config import DensificationConfig, LossConfig
 from thermosplat.training.density.gaussian_ops import prune
 from thermosplat.training.optimizers import gaussian_optimizers
-from thermosplat.training.training_step import StepKind, sh_degree_at
-from toy_run import many_frames, toy_run_config, toy_trainer
+from thermosplat.training.step_kind import StepKind, sh_degree_at
+from toy_run import many_frames, step_gradients, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 
@@ -62,7 +62,7 @@ def test_terms_have_their_weights(tmp_path: Path) -> None:
         first = trainer.model.gaussians(next(iter(trainer.model.gaussian_sets)))
         prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)  # of two sets, 40 and 60
         kind = StepKind(1, densifying=False, depth_spread=loss.depth_spread > 0)
-        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        done = step_gradients(trainer, kind)
         return {term: value.item() for term, value in done.losses.items()}
 
     once = losses("once", LossConfig(feature_norm=0.1, depth_spread=0.2))
@@ -91,7 +91,7 @@ def test_terms_of_three_sets_have_the_others_shares(tmp_path: Path) -> None:
         first = trainer.model.gaussians("rgb")
         prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)
         kind = StepKind(1, densifying=False)
-        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        done = step_gradients(trainer, kind)
         found.append({term: value.item() for term, value in done.losses.items()})
     plain, balanced = found
     shares = {"rgb": 120 / 160 / 2, "thermal": 100 / 160 / 2, "nir": 100 / 160 / 2}

@@ -23,6 +23,7 @@ from thermosplat.config.run_schedule import run_schedule, steps_note
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError
+from thermosplat.distributed.team import Team
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.runs.checkpoint import Checkpoint
@@ -32,15 +33,12 @@ from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel, as_trained
 from thermosplat.scene.offloaded import offload
 from thermosplat.stop_signals import deferred_interrupts, raise_lost_stop, signal_of
-from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import AutoBudget, Budget
 from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import may_teach
 from thermosplat.training.budget.tolerances import TOLERANCES
 from thermosplat.training.camera_rounds import CameraRounds, finds_cameras, of_passes
-from thermosplat.training.captured_batches import CapturedBatches
-from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_limit import with_limit
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.fast_decoders import fast_decoders
@@ -51,9 +49,7 @@ from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, TrainFrames
 from thermosplat.training.image_noise import fitted_to_noise, noisy_spectra, training_noise
 from thermosplat.training.joined_scenes import Scene, joined_sets, kept_scene, seed_of_scene, steps_of_scene
-from thermosplat.training.offloaded_steps import OffloadedSteps
 from thermosplat.training.offloading import Offloaded, decided, limit_device_memory, refused
-from thermosplat.training.plain_steps import PlainSteps
 from thermosplat.training.session.checkpoint_writer import (
     CheckpointWriter,
     going_on_without,
@@ -71,9 +67,11 @@ from thermosplat.training.session.resuming import (
 )
 from thermosplat.training.session.run_logger import RunLogger, StepRecord
 from thermosplat.training.session.run_results import RunResults
+from thermosplat.training.step_kind import StepKind, sh_degree_at
+from thermosplat.training.steps import Steps
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
-from thermosplat.training.training_step import StepKind, TrainingStep, sh_degree_at
+from thermosplat.training.training_step import TrainingStep
 
 
 class Trainer:
@@ -105,6 +103,7 @@ class Trainer:
         self.capture = capture
         self.run = run
         self.device = self._choose_device()
+        self.team = self._choose_team()
         if self.device.type == "cuda" and config.gpu_memory is not None:
             limit_device_memory(self.device, config.gpu_memory)
         self.frames = TrainFrames(capture, config.modelled, self.device)
@@ -150,14 +149,20 @@ class Trainer:
             if not self.state.growing:
                 self.state.noise_watch.end()
         self.device_step = TrainingStep(
-            config, self.state, self.guard, PairCapacity(self.device), tolerances=self.tolerances
+            config, self.state, self.guard, PairCapacity(self.device), self.team, tolerances=self.tolerances
         )
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)  # streams, graphs and their memory are those of the current one
         fast = fast_decoders(self.model.decoders, config, self.device)
         if fast is not None:
             self.device_step.decoding = fast.active
-        self.steps: PlainSteps | CapturedSteps | BatchSteps = self._make_steps()
+        self.steps = Steps(
+            self.device_step,
+            self.frames,
+            self.schedule,
+            recorded=self.device.type == "cuda" and config.graph and self.offloaded == "nothing",
+            say=lambda line: self.logger.say(line),
+        )
         self.checkpoints = CheckpointWriter(self.logger.say)
         self.results = RunResults(config, capture, run, self.state, self.logger, self.device)
         self.between_steps: Callable[[Trainer], object] | None = None
@@ -166,6 +171,9 @@ class Trainer:
 
     def _choose_device(self) -> torch.device:
         return choose_device(self.config.device)
+
+    def _choose_team(self) -> Team:
+        return Team.of_one(self.device)
 
     def _make_logger(self) -> RunLogger:
         config = self.config
@@ -208,23 +216,6 @@ class Trainer:
 
     def _make_camera_rounds(self) -> CameraRounds:
         return CameraRounds(self.config, self.state, self.frames)
-
-    def _make_steps(self) -> "PlainSteps | CapturedSteps | BatchSteps":
-        if (self.config.batch_size or 1) > 1:
-            return self._batches(BatchSteps(self.device_step, self.frames, self.schedule))
-        if self._captures:
-            return CapturedSteps(self.device_step, len(self.frames))
-        if self.rows_on_device:
-            return OffloadedSteps(self.device_step, lambda line: self.logger.say(line))
-        return PlainSteps(self.device_step)
-
-    @property
-    def _captures(self) -> bool:
-        return self.device.type == "cuda" and self.config.graph and self.offloaded == "nothing"
-
-    def _batches(self, batches: BatchSteps) -> BatchSteps | CapturedBatches:
-        """Steps of several frames, recorded where that is possible."""
-        return CapturedBatches(batches, len(self.frames)) if self._captures else batches
 
     @classmethod
     def resume(
@@ -345,7 +336,6 @@ class Trainer:
         densifying = any(strategy.is_active(step) for strategy in strategies.values())
         found_at = self.camera_rounds.image_factor
         kind = StepKind.at(config, step, densifying=densifying, cameras_found_at=found_at, taught=state.taught)
-        frame = self.schedule.tensors(state.step, factor=kind.image_factor)
         budget = None if state.finds_cameras else self.budget
         rates = of_passes(config).optimizer if state.finds_cameras else config.optimizer
         if state.kept_scenes:  # scenes that become one have the same decoders
@@ -354,7 +344,7 @@ class Trainer:
         if kind.swept_depths:
             self.device_step.swept = self._swept_depths
 
-        with self._first_step(), self.steps.run(frame, kind) as values:
+        with self._first_step(), self.steps.run(kind) as values:
             if self._looks_at_guard(step):
                 self._stop_if_not_finite()
                 self.steps.check_overflow()

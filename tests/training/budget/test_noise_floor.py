@@ -17,9 +17,17 @@ from thermosplat.losses.image_terms import compare_frame
 from thermosplat.training.budget.noise_floor import gradient_shares, noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.image_noise import training_noise
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import assert_same_state, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
+from toy_run import (
+    assert_same_state,
+    many_frames,
+    state_tensors,
+    step_gradients,
+    tolerating,
+    toy_run_config,
+    toy_trainer,
+)
 from toy_scene import toy_capture
 
 
@@ -63,7 +71,7 @@ def watch_of(trainer: Trainer, floor: float) -> NoiseWatch:
 def gradients(trainer: Trainer) -> dict[str, torch.Tensor]:
     """Gradients of a step on the first frame, by parameter."""
     trainer.state.clear_gradients()
-    trainer.device_step.gradients(trainer.frames[0], StepKind(0, densifying=False), fixed_capacity=False)
+    step_gradients(trainer, StepKind(0, densifying=False))
     model = trainer.model.named_parameters()
     return {name: parameter.grad.clone() for name, parameter in model if parameter.grad is not None}
 

@@ -19,8 +19,8 @@ from thermosplat.refinement.corrected_capture import corrected_capture
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.session.run_logger import RunLogger
 from thermosplat.training.session.run_metrics import run_metrics
+from thermosplat.training.step_kind import sh_degree_at
 from thermosplat.training.training_state import TrainingState
-from thermosplat.training.training_step import sh_degree_at
 
 
 class RunResults:

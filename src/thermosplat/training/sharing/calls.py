@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.distributed.team import Team
 from thermosplat.scene.rendered_frame import RenderedFrame
 
 Group = tuple[str, ...]
@@ -36,16 +37,17 @@ class Calls(NamedTuple):
     """Any float tensor on the ranks' device."""
 
 
-def calls_of(frames: Sequence[Sequence[Group]], rank: int, like: Tensor) -> Calls:
+def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Calls:
     """The calls for the frames that the ranks have now.
 
     Args:
-        frames: The groups of each rank's frame.
-        rank: This one.
+        frames: The groups of the frames of the first ranks; the others have none.
+        team: The ranks.
         like: Any float tensor on the device.
     """
     groups = dict.fromkeys(group for frame in frames for group in frame)
-    return Calls(sorted(groups), [set(frame) for frame in frames], rank, like)
+    of_ranks = [set(frame) for frame in frames] + [set() for _ in range(team.size - len(frames))]
+    return Calls(sorted(groups), of_ranks, team.rank, like.detach())
 
 
 def render_with_others(

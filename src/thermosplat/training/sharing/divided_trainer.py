@@ -26,10 +26,8 @@ from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
-from thermosplat.training.batch_steps import BatchSteps
 from thermosplat.training.budget.auto_budget import Budget
 from thermosplat.training.camera_rounds import CameraRounds
-from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.joined_scenes import Scene
 from thermosplat.training.offloading import refused
@@ -78,7 +76,7 @@ class DividedTrainer(Trainer):
     ) -> None:
         if config.offload in ("on", "moments") and (why := refused(config, divided=True)) is not None:
             raise UserError(why, "Leave --offload out.")
-        self.team = team
+        self._team = team
         self._counts: dict[str, list[int]] = {}
         self.wish = StopWish()
         self.calls: Callable[[], bool] = lambda: False
@@ -116,7 +114,10 @@ class DividedTrainer(Trainer):
     # ---- what a rank has ---------------------------------------------------------------------------------------------
 
     def _choose_device(self) -> torch.device:
-        return self.team.device
+        return self._team.device
+
+    def _choose_team(self) -> Team:
+        return self._team
 
     def _make_logger(self) -> RunLogger:
         if self.team.is_first:
@@ -136,9 +137,6 @@ class DividedTrainer(Trainer):
         model = SceneModel.from_checkpoint(checkpoint, self.device)
         self._counts = shared_counts(self.team, model)
         return model
-
-    def _make_steps(self) -> BatchSteps | CapturedSteps:
-        return self._batches(BatchSteps(self.device_step, self.frames, self.schedule, self.team))
 
     def _make_budget(self) -> Budget:
         return DividedBudget(self)
