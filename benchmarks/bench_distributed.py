@@ -38,7 +38,6 @@ from thermosplat.distributed.team import Team
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.thermal.radiometry import GREY, PixelScale
-from thermosplat.training.sharing.divided_trainer import DividedTrainer
 from thermosplat.training.trainer import Trainer
 from training.step_parts import finer_part_of
 
@@ -113,7 +112,7 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
         store = dist.FileStore(str(Path(folder) / "store"), ranks)
         backend = "cpu:gloo,cuda:nccl" if on_cuda else "gloo"
         dist.init_process_group(backend, store=store, rank=rank, world_size=ranks)
-        trainer = DividedTrainer(config, capture, run, Team(rank, ranks, device))
+        trainer = Trainer(config, capture, run, team=Team(rank, ranks, device))
 
     def steps(number: int) -> float:
         wait(device)

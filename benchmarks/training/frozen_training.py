@@ -22,6 +22,7 @@ from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.runs.checkpoint import Checkpoint
+from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians, offsets_name, own_logits_name, sh_names
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, SpectrumConfig
@@ -57,18 +58,17 @@ def quiet_trainer(
         frames: Frames of the capture that others have put on the device already; the trainer adds those it needs.
     """
     run = RunDirectory.create(folder)
-    trainer = Trainer(config, capture, run, checkpoint=checkpoint)
-    if frames is not None and len(trainer.frames.frames) == len(capture.train):  # else they have other numbers
-        trainer.frames._cache = frames
-    console = Console(file=io.StringIO())
-    trainer.logger = RunLogger(
+    logger = RunLogger(
         run,
         max_steps=config.max_steps,
         log_every=config.log_every,
-        device=trainer.device,
+        device=choose_device(config.device),
         tensorboard=False,
-        console=console,
+        console=Console(file=io.StringIO()),
     )
+    trainer = Trainer(config, capture, run, logger, checkpoint)
+    if frames is not None and len(trainer.frames.frames) == len(capture.train):  # else they have other numbers
+        trainer.frames._cache = frames
     return trainer
 
 

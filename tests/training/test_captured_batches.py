@@ -12,7 +12,6 @@ import torch.multiprocessing as processes
 from thermosplat.config import DensificationConfig
 from thermosplat.distributed.team import Team
 from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.training.sharing.divided_trainer import DividedTrainer
 from thermosplat.training.trainer import Trainer
 from toy_run import many_frames, state_tensors, toy_run_config
 from toy_scene import toy_capture
@@ -86,7 +85,7 @@ def _divided(rank: int, ranks: int, batch: int, folder: str) -> None:
         path = Path(folder) / f"run{graph}"
         run = RunDirectory.create(path) if rank == 0 else RunDirectory(path)
         config = _config(graph, batch_size=batch)
-        trainer = _taken(DividedTrainer(config, capture, run, Team(rank, ranks, device)))
+        trainer = _taken(Trainer(config, capture, run, team=Team(rank, ranks, device)))
         assert (trainer.steps.recordings is not None) == graph
         assert trainer.steps.recordings is None or trainer.steps.recordings._graphs
         torch.save(state_tensors(trainer), f"{folder}/{graph}-{rank}.pt")

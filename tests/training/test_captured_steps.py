@@ -248,7 +248,7 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
 def test_resume_from_captured_steps(tmp_path: Path) -> None:
     """A checkpoint of a captured run goes on, on CUDA and on the CPU."""
     trainer = _run(tmp_path / "first", "shared", 20)
-    trainer._save()
+    trainer.save()
     for device in ("cuda", "cpu"):
         config = dataclasses.replace(trainer.config, device=device, max_steps=24)
         resumed = Trainer.resume(config, trainer.capture, trainer.run)

@@ -99,7 +99,7 @@ def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None
     config = toy_run_config(max_steps=6)
     whole = trained(tmp_path / "whole", 6, max_steps=6)
     half = trained(tmp_path / "half", 4, max_steps=6, offload=first)
-    half.run.write_config(half.asked)
+    half.run.write_config(half.recipe.asked)
     half.save()
     resumed = Trainer.resume(dataclasses.replace(config, offload=then), capture_of(), RunDirectory.open(half.run.path))
     assert some_offloaded(resumed.state.gaussian_sets["shared"]) == (then == "on")
@@ -137,7 +137,7 @@ def test_refinements_keep_rows_where_they_lie(tmp_path: Path, kind: str) -> None
 
     assert len(trainer.state.gaussian_sets["shared"]) > 60
     check()
-    trainer._forget_scene()
+    trainer.beginnings.forget_scene()
     assert len(trainer.state.gaussian_sets["shared"]) == 60
     check()
 

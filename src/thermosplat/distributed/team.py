@@ -65,6 +65,10 @@ class Team:
             return [list(map(int, numbers))]
         return [[int(number) for number in of_rank] for of_rank in numbers_of_all(numbers, self.device)]
 
+    def all_can(self, can: bool) -> bool:
+        """Whether all ranks can do something that this one can, or cannot."""
+        return all(number for (number,) in self.numbers([can]))
+
     def block_of(self, rows: int) -> slice:
         """This rank's rows of so many."""
         counts = blocks(rows, self.size)

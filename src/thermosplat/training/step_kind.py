@@ -6,8 +6,9 @@ from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.training.exposures import FROM as EXPOSED_FROM
-from thermosplat.training.frames.resolution_schedule import image_factor
-from thermosplat.training.sharing.calls import Group
+
+Group = tuple[str, ...]
+"""Spectra that one camera renders, in the model's order."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class StepKind:
 
     sh_degree: int
     """Degree of the spherical harmonics in use."""
-    densifying: bool
+    densifying: bool = False
     """Note gradients for the next refinement."""
     depth_spread: bool = False
     """Let the spread of depths along rays be a loss."""
@@ -44,38 +45,18 @@ class StepKind:
     """Spectra that are compared with what a teacher shows, in place of images."""
 
     @classmethod
-    def at(
-        cls,
-        config: TrainConfig,
-        step: int,
-        *,
-        densifying: bool,
-        cameras_found_at: float | None = None,
-        taught: tuple[str, ...] = (),
-    ) -> "StepKind":
-        """What is done in a step.
+    def at(cls, config: TrainConfig, step: int) -> "StepKind":
+        """What a configuration says of a step, before the stages of a training have their say.
 
         Args:
             config: The whole configuration.
             step: The step, from 1.
-            densifying: As the field.
-            cameras_found_at: What the sides of the images are divided by while cameras are found; None: the step
-                trains the scene with them.
-            taught: As the field.
         """
-        loss, swept = config.loss, any(one.swept_depth > 0 for one in config.modelled.values())
-        factor = image_factor(config, step) if cameras_found_at is None else cameras_found_at
-        refining = bool(config.refine) and step > config.refine_from
         return cls(
             sh_degree_at(config, step),
-            densifying,
-            depth_spread=loss.depth_spread > 0 and step > loss.depth_spread_from * config.max_steps,
-            swept_depths=swept and factor == 1.0,
-            refining=refining,
+            depth_spread=config.loss.depth_spread > 0 and step > config.loss.depth_spread_from * config.max_steps,
+            refining=bool(config.refine) and step > config.refine_from,
             exposing=step > EXPOSED_FROM * config.max_steps,
-            geometry_held=cameras_found_at is not None,
-            image_factor=factor,
-            taught=taught,
         )
 
 

@@ -17,10 +17,9 @@ from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.optimizers import set_betas
+from thermosplat.training.out_of_memory import is_out_of_memory
 from thermosplat.training.recorded_steps import RecordedSteps
-from thermosplat.training.session.out_of_memory import is_out_of_memory
-from thermosplat.training.sharing.calls import Group
-from thermosplat.training.step_kind import Plan, StepKind, StepValues
+from thermosplat.training.step_kind import Group, Plan, StepKind, StepValues
 from thermosplat.training.training_step import Differentiated, TrainingStep
 
 NO_FRAME = FrameTensors("", {}, ())

@@ -31,10 +31,10 @@ from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
-from thermosplat.training.sharing.calls import Calls, Group, calls_of, infos_of_frame, render_with_others
+from thermosplat.training.sharing.calls import Calls, calls_of, infos_of_frame, render_with_others
 from thermosplat.training.sharing.replicated import add_up_replicated, tell_errors
 from thermosplat.training.sharing.taking_part import TakingPart
-from thermosplat.training.step_kind import Plan, StepKind, StepValues
+from thermosplat.training.step_kind import Group, Plan, StepKind, StepValues
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 
@@ -80,10 +80,10 @@ class TrainingStep:
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
         team: The ranks that train the scene.
-        decoding: Opened around rendering and backward pass; what makes decoders fast.
         tolerances: Of a budget.
 
     Attributes:
+        decoding: Opened around rendering and backward pass; what makes decoders fast.
         swept: Depths of the training views; None: there are none, or not yet.
     """
 
@@ -94,7 +94,6 @@ class TrainingStep:
         guard: FiniteGuard,
         capacity: PairCapacity,
         team: Team,
-        decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
         tolerances: Tolerances = TOLERANCES,
     ) -> None:
         self.config = config
@@ -103,7 +102,7 @@ class TrainingStep:
         self.guard = guard
         self.capacity = capacity
         self.team = team
-        self.decoding = decoding
+        self.decoding: Callable[[], AbstractContextManager[None]] = nullcontext
         self.swept: SweptDepths | None = None
         self._one = torch.ones_like(guard.blocked)
 

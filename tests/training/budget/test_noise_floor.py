@@ -88,12 +88,12 @@ def test_floor_is_a_share_of_the_noise_of_each_spectrum(tmp_path: Path) -> None:
     assert trainer.state.noise_watch.noise == floors
     for name, of_frames in trainer.state.noise_watch.floors.items():
         assert of_frames.tolist() == pytest.approx([floors[name]] * len(trainer.frames))
-    assert trainer.image_notes == notes
+    assert trainer.recipe.notes == notes
     limit = -10 * math.log10(floors["rgb"])
     assert notes[0].startswith("Noise of the RGB images at least 0.04")
     assert notes[0].endswith(f"training views are fitted up to {limit:.1f} dB.")
     plain = toy_trainer(tmp_path / "b", toy_run_config(), capture)
-    assert (plain.state.noise_watch, plain.image_notes) == (None, ())
+    assert (plain.state.noise_watch, plain.recipe.notes) == (None, ())
 
 
 def test_images_without_noise_have_no_floor(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import Teacher, may_teach
 from thermosplat.training.frames.shrunk_frames import area_averages, shrunk_frame
+from thermosplat.training.new_scenes import NewScenes
 from thermosplat.training.sharing.shares import shares_of
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
@@ -239,7 +240,7 @@ def test_where_there_is_no_room_floors_hold(tmp_path: Path, monkeypatch: pytest.
     assert watch.floors_of(torch.tensor(0), 0.0)["rgb"].item() == pytest.approx(0.02)
     trainer = taught(tmp_path, still(6))
     trainer.save()
-    monkeypatch.setattr(Trainer, "_teaches", lambda self: False)
+    monkeypatch.setattr(NewScenes, "may_teach", lambda self, model: False)
     resumed = Trainer.resume(still(6), trainer.capture, trainer.run)
     assert resumed.state.taught == ()
 

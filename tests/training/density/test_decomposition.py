@@ -252,7 +252,7 @@ def test_resumed_run_may_begin_to_divide(tmp_path: Path) -> None:
     first = toy_trainer(tmp_path, config, toy_capture())
     while first.step < 5:
         first._train_step()
-    first._save()
+    first.save()
     densification = dataclasses.replace(config.densification, strategy="decomposing", conflict_threshold=1e-6)
     changed = dataclasses.replace(config, densification=densification)
     resumed = Trainer.resume(changed, toy_capture(), RunDirectory.open(tmp_path))
