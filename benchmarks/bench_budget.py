@@ -23,6 +23,7 @@ import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py
 
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config.files import load_config
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.method_matrix.render_speed import frames_per_second
@@ -66,7 +67,7 @@ class PrunedTrainer(Trainer):
 def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, settings: Settings) -> dict[str, Any]:
     """Prunes a finished run to a share of its Gaussians, fine-tunes and evaluates it."""
     checkpoint = newest_checkpoint(run)
-    before = load_config(run.config_yaml)
+    before = in_steps(load_config(run.config_yaml))
     config = replace(
         before,
         max_steps=checkpoint.step + settings.fine_tune,
@@ -75,7 +76,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
         result_dir=str(out),
         budget="auto" if budget < 1.0 else "fixed",
         auto_budget=AutoBudgetConfig(prune_at=()),
-        densification=replace(before.densification, enabled=False),
+        densification=replace(before.densification, stop_step=0),
     )
     trainer = PrunedTrainer(config, capture, RunDirectory.create(out, overwrite=True), checkpoint=checkpoint)
     if trainer.budget is not None:
@@ -150,7 +151,7 @@ def plot(scenes: dict[str, Rows], path: Path) -> bool:
 
 def trained(out: Path, data: str, options: argparse.Namespace, capture: Capture) -> RunDirectory:
     """A finished run of a capture in a folder: as it is there, gone on with, or made."""
-    preset = load_config(options.config)
+    preset = in_steps(load_config(options.config))
     config: TrainConfig = replace(
         preset,
         data=data,

@@ -15,7 +15,7 @@ import json
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,9 +30,10 @@ from thermosplat.config import DecoderConfig
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.environment import environment
+from thermosplat.scene.decoder import Decode
 from thermosplat.scene.decoders import Decoders
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, model_spectra
-from thermosplat.training.fast_decoders import Decode, FastDecoders, can_compile
+from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.fused_decoders import FusedDecoders, teams
 
 WARM_UP = 3
@@ -129,16 +130,12 @@ def variants(decoders: Decoders) -> dict[str, Variant]:
     """By name every way there is on the decoders' device to decode both branches."""
     on_cuda = next(decoders.parameters()).device.type == "cuda"
     found: dict[str, Variant] = {}
-
-    def swapped(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        return decoders.decode(features)  # what is active now
-
     for precision in ("float32", "tf32"):
         eager = FastDecoders(decoders, compiled=False, precision=precision)
-        found[f"torch, {precision}"] = Variant(swapped, eager.active)
+        found[f"torch, {precision}"] = Variant(eager.decode, eager.precise)
     if on_cuda and can_compile():
         tf32 = FastDecoders(decoders, compiled=False, precision="tf32")
-        found["torch.compile, tf32"] = Variant(torch.compile(decoders.decode, dynamic=False), tf32.active)
+        found["torch.compile, tf32"] = Variant(torch.compile(decoders.decode, dynamic=False), tf32.precise)
     for team in teams(decoders):
         share = "a warp for 16 pixels" if team == 1 else f"{team} warps share 16 pixels"
         found[f"fused, {share}"] = Variant(FusedDecoders(decoders, team).decode)

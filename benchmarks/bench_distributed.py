@@ -97,7 +97,7 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
         device="cuda" if on_cuda else "cpu",
         tensorboard=False,
         log_every=10**9,
-        densification=DensificationConfig(enabled=False),
+        densification=DensificationConfig(stop_step=0),
     )
     config = replace(config, sh_degree_interval=1, compile=on_cuda)
     capture, run = random_capture(count, width, height), RunDirectory(Path(folder) / "run")

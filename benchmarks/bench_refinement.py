@@ -30,6 +30,7 @@ from preparation.rig_capture import Disturbance, thermal_errors, write_capture
 from preparation.rig_truth import rig_errors
 from thermosplat.config import LensUse, Refined, TrainConfig
 from thermosplat.config.files import load_config
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.runs.atomic_writes import write_text
@@ -54,7 +55,7 @@ def settings(arguments: argparse.Namespace, refine: tuple[Refined, ...]) -> Trai
     if arguments.small:
         density = replace(config.densification, max_gaussians=4000)
         config = replace(config, densification=density, decoder=replace(config.decoder, hidden_dim=16))
-    return config if arguments.max_steps is None else replace(config, max_steps=arguments.max_steps)
+    return config if arguments.max_steps is None else replace(in_steps(config), max_steps=arguments.max_steps)
 
 
 class Rounds:

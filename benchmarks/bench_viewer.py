@@ -13,8 +13,8 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -27,6 +27,7 @@ prepare_host()
 with importing():
     import cv2
     import torch
+    from torch import Tensor
 
     from thermosplat.novel_views.bookmarks import Bookmark
     from thermosplat.runs.atomic_writes import write_text
@@ -90,22 +91,15 @@ def one_picture(renderer: LayerRenderer, layer: Layer, view: Bookmark, size: tup
     """Seconds of each part of one picture."""
     scene = renderer.scene
     watch, model = Stopwatch(scene.device), scene.model
-    decoders = model.decoders
-    if decoders is not None:
-        plain = decoders.decode
+    plain = model.formations.decode
 
-        def timed(*arguments: Any, **options: Any) -> Any:
-            with watch.part("decode"):
-                return plain(*arguments, **options)
+    def timed(features: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        with watch.part("decode"):
+            return {} if plain is None else plain(features)
 
-        decoders.decode = timed  # type: ignore[method-assign]
-    try:
-        with watch.part("whole"):
-            tensors = scene.view(view.viewmat, view.fov_y, *size)
-            image = model.render({layer.spectrum: tensors}, sh_degree=scene.sh_degree).images[layer.spectrum]
-    finally:
-        if decoders is not None:
-            del decoders.decode  # the class's own again
+    with nullcontext() if plain is None else model.formations.decoding_by(timed), watch.part("whole"):
+        tensors = scene.view(view.viewmat, view.fov_y, *size)
+        image = model.render({layer.spectrum: tensors}, sh_degree=scene.sh_degree).images[layer.spectrum]
     watch.seconds["render"] = watch.seconds.pop("whole") - watch.seconds.get("decode", 0.0)
     scale = scene.scales[layer.spectrum]
     with watch.part("values"):

@@ -1,9 +1,13 @@
 """Fixtures every test folder may use."""
 
+import os
 import signal
+from collections import defaultdict
 from collections.abc import Callable, Iterator
+from datetime import date
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 import torch
@@ -15,12 +19,44 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With ``-n``, the tests of a file run in one process, which makes its fixtures once; --dist says otherwise."""
+    """With ``-n``, each process has tests that follow each other, and then some of whoever has more; --dist says
+    otherwise."""
     if config.getoption("dist") != "load":
         return None
-    from xdist.scheduler import LoadFileScheduling
+    from xdist.scheduler import WorkStealingScheduling
 
-    return LoadFileScheduling(config, log)
+    return WorkStealingScheduling(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """With ``-n``, there are processes for all cores: each has one thread, and so has what it starts; and all have the
+    same day."""
+    os.environ.setdefault("THERMOSPLAT_QUARTER", str(date.today().toordinal() % 4))
+    if hasattr(config, "workerinput"):
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+        torch.set_num_threads(1)
+
+
+def pytest_report_header() -> str:
+    """How to see today's choice of cases again."""
+    return f"rotating cases: THERMOSPLAT_QUARTER={os.environ['THERMOSPLAT_QUARTER']}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A quarter of the cases of each test that is marked ``rotating``, another one every day and one at least; the
+    others are ``slow``. Those on CUDA stay."""
+    quarter, cases = os.environ["THERMOSPLAT_QUARTER"], defaultdict(list)
+    if quarter == "all":
+        return
+    for item in items:
+        if item.get_closest_marker("rotating") is not None and item.get_closest_marker("cuda") is None:
+            cases[item.nodeid.partition("[")[0]].append(item)
+    for of_one_test in cases.values():
+        of_one_test.sort(key=lambda item: crc32(item.nodeid.encode()))
+        for number, item in enumerate(of_one_test):
+            if (number - int(quarter)) % min(4, len(of_one_test)) != 0:
+                item.add_marker("slow")
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -104,6 +104,7 @@ def test_a_full_disk_is_told_once(monkeypatch: pytest.MonkeyPatch, capsys: pytes
         print_last("nobody hears this")
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     ("words", "outputs"),
     [

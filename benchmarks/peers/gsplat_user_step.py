@@ -11,6 +11,7 @@ from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.losses.image_terms import compare_frame
+from thermosplat.training.optimizers import EPSILON
 from thermosplat.training.trainer import Trainer
 from training.frozen_training import wait
 
@@ -33,8 +34,7 @@ class GsplatUserStep:
         self.frames = [source.frames[index] for index in range(len(source.frames))]
         self._order = cycle(self.frames)
         parameters = [parameter for parameter in self.model.parameters() if parameter.numel() > 0]
-        eps = source.config.optimizer.eps
-        self.optimizers = [torch.optim.Adam([parameter], lr=0.0, eps=eps, fused=True) for parameter in parameters]
+        self.optimizers = [torch.optim.Adam([parameter], lr=0.0, eps=EPSILON, fused=True) for parameter in parameters]
 
     def losses(self, frame: FrameTensors) -> dict[str, Tensor]:
         """Weighted loss terms of a frame."""

@@ -85,7 +85,7 @@ def frozen(config: TrainConfig) -> TrainConfig:
         sh_degree_interval=1,
         budget="fixed",
         optimizer=replace(config.optimizer, **rates),
-        densification=replace(config.densification, enabled=False),
+        densification=replace(config.densification, stop_step=0),
     )
 
 

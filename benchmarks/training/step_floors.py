@@ -27,9 +27,8 @@ from measuring.floors import stage_floors
 from measuring.fragments import Fragments, count_fragments
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.losses.image_terms import image_terms
-from thermosplat.scene.decoders import Decoders
 from thermosplat.scene.model import RenderedFrame, SceneModel
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders
+from thermosplat.training.session.run_metrics import feature_channels
 from thermosplat.training.trainer import Trainer
 
 FLOOR_FRAMES = 4
@@ -95,8 +94,8 @@ def _rasterization(
     info: Mapping[str, Any], fragments: Fragments, model: SceneModel, peaks: DevicePeaks
 ) -> dict[str, tuple[float, float]]:
     """Bytes and operations of one rasterization, forward and backward."""
-    dim = model.feature_channels
-    has_sh = dim is None or model.photograph in info["spectra"]
+    dim = feature_channels(model)
+    has_sh = any(model.formations[name].takes_colors for name in info["spectra"])
     # without features a call renders one spectrum from its SH colours, or two
     first = 3 * len(info["spectra"]) if dim is None else dim + (3 if has_sh else 0)
     second = (dim or 3) if info.get("thermal_opacities") is not None else 0
@@ -124,26 +123,24 @@ def _rest(trainer: Trainer, frame: FrameTensors, rendered: RenderedFrame) -> dic
         "optimizer": (float(ADAM_BYTES * stored), 0.0),
         "image losses": (float(LOSS_BYTES * sum(t.render.numel() for t in image_terms(rendered, frame, config))), 0.0),
     }
-    if model.decoders is not None:
+    if model.formations.decoder is not None:
         moved = operations = 0.0
         for name, features in rendered.features.items():
             image = rendered.images[name]
             pixels, channels, dim = image.shape[0] * image.shape[1], image.shape[-1], features.shape[-1]
             moved += 4 * pixels * (dim + channels + 2 * channels + 2 * dim)
-            operations += 3 * pixels * _weights(model.decoders, name)
+            operations += 3 * pixels * _weights(model, name)
         amounts["decoders"] = (moved, operations)
     return amounts
 
 
-def _weights(decoders: Decoders | SpectrumDecoders, spectrum: str) -> int:
-    """Multiply-adds a pixel of one spectrum's image: the weights of the layers that it uses."""
-    if isinstance(decoders, SpectrumDecoders):
-        layers = [decoders.networks[spectrum]]
-    else:
-        layers = [decoders.shared_encoder, decoders.heads[spectrum]]
-        prior = decoders.modulated_by[spectrum]
-        if spectrum in decoders.modulations:
-            layers += [decoders.modulations[spectrum], decoders.priors[str(prior)]]
-        elif prior is None:
-            layers.append(decoders.priors[spectrum])
-    return sum(p.numel() for layer in layers for name, p in layer.named_parameters() if name.endswith("weight"))
+@torch.enable_grad()
+def _weights(model: SceneModel, spectrum: str) -> int:
+    """Multiply-adds a pixel of one spectrum's image: the weights of the decoder's layers that it uses."""
+    features = torch.zeros(1, model.config.feature_dim, device=model.background.device)
+    decoded = model.formations[spectrum].decoded(features)
+    if decoded is None:
+        return 0
+    weights = [p for name, p in model.formations.named_parameters() if name.endswith("weight")]
+    used = torch.autograd.grad(decoded.sum(), weights, allow_unused=True)
+    return sum(weight.numel() for weight, gradient in zip(weights, used, strict=True) if gradient is not None)

@@ -20,6 +20,7 @@ from measuring.process_memory import memory_of
 from measuring.process_time import seconds_of_children
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.host_settings import prepare_host
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets import capture_of
 from thermosplat.datasets.kept_images import keep_images
 from thermosplat.rasterizer.warp_start import start_warp
@@ -87,7 +88,9 @@ def main(words: list[str]) -> None:
     moments["capture known"] = time.time()
     start_warp()
     count = 2 * len(capture.train) if steps == "None" else int(steps)
-    config = replace(config, max_steps=count, eval_steps=(), save_steps=(), tensorboard=False, overwrite=False)
+    config = replace(
+        in_steps(config), max_steps=count, eval_steps=(), save_steps=(), tensorboard=False, overwrite=False
+    )
     trainer = Trainer(config, replace(capture, test=capture.test[:1]), RunDirectory.create(config.result_dir, True))
     moments["trainer made"] = time.time()
     before = memory_of(os.getpid()).total / 1e9

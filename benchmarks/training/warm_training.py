@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from thermosplat.config import TrainConfig
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets.capture import Capture
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.training.trainer import Trainer
@@ -32,7 +33,7 @@ def warm_training(
         adds to the steps around it (median), how many were timed, ``every`` how many steps there is one, and that
         share of it, ``ms_a_step``; None if there was none with steps beside it to compare with.
     """
-    config = replace(config, max_steps=max(config.max_steps, steps))
+    config = replace(in_steps(config), max_steps=max(config.max_steps, steps))
     every = config.densification.every
     refining: list[float] = []
     usual: list[float] = []

@@ -1,8 +1,12 @@
-"""``python -m thermosplat train DATA`` does what ``thermosplat-train DATA`` does; so for every command."""
+"""``thermosplat train DATA``, or ``python -m thermosplat train DATA``, does what ``thermosplat-train DATA`` does.
+
+So for every command.
+"""
 
 import sys
 from importlib import import_module
 
+from thermosplat import __version__
 from thermosplat.printing import safe_output
 
 COMMANDS = {
@@ -29,8 +33,10 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if words and words[0] in COMMANDS:
         return import_module(COMMANDS[words[0]]).main(words[1:])
-    usage = f"python -m thermosplat {'|'.join(COMMANDS)} ...    (each has --help)"
+    usage = f"usage: thermosplat {'|'.join(COMMANDS)} ...    (each has --help)"
     asked = words in (["--help"], ["-h"])
+    if words == ["--version"]:
+        usage, asked = f"thermosplat {__version__}", True
     with safe_output():
         if not asked:
             print(f"There is no command {words[0]!r}." if words else "No command given.", file=sys.stderr)

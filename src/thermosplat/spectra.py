@@ -8,7 +8,7 @@ This file imports nothing heavy, so that ``thermosplat-train --help`` answers at
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Source = Literal["photograph", "auto", "color", "raw"]
@@ -35,6 +35,10 @@ _SPELLINGS = {
     **{"count": COUNTS, "dn": COUNTS, "adu": COUNTS, "rawcounts": COUNTS, "digitalnumber": COUNTS},
 }
 """Other words for units, without case, signs, "degrees" and a plural's s."""
+
+NOISY_SENSOR = 0.0125
+"""Noise of images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from which on their sensor is
+a noisy one: arco's thermal images have 0.0140, desk's 0.0012. Open choice."""
 
 
 @dataclass(frozen=True)
@@ -74,20 +78,11 @@ class SpectrumConfig:
     when training of this one begins (ThermalGaussian MFTG, with ``train_from``)."""
     loss: float = 1.0
     """Weight of its image loss. ThermoSplat."""
-    loss_noise: float = 0.0
-    """Noise of the training images (measured as for ``smoothness_noise``) from which on that weight is 1, where it is
-    more than 1. With less noise the weight falls in proportion, from ``loss`` on. 0: it is taken as it is. Open
-    choice."""
     features: float | None = 0.5
     """Factor of the loss on the latent channels that are supervised with its images; ``loss.features`` multiplies it.
     null: no channel is supervised with it. ThermoSplat: 1 for RGB, η = 0.5 for thermal."""
     smoothness: float = 0.0
     """Weight of the mean absolute gradient of its image. ThermoSplat: λ_sm = 0.3 for thermal."""
-    smoothness_noise: float = 0.0
-    """Noise of the training images (standard deviation, of the range 0 to 1, Immerkaer 1996 with stripes) from which on
-    that weight is taken in full; with less it falls in proportion. 0: it is taken as it is. Open choice."""
-    smoothness_least: float = 0.05
-    """With ``smoothness_noise``, the weight where there is no noise. Open choice."""
     squared: float = 0.0
     """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
     large differences count for more. 0: plain L1. Open choice."""
@@ -97,9 +92,10 @@ class SpectrumConfig:
     point_spread: float = 0.0
     """Blur of its images to begin with, as the standard deviation of a Gaussian [of an image's width]; it is learnt
     with the scene. 0: none. Open choice."""
-    point_spread_noise: float = 0.0
-    """Noise of the training images (measured as for ``smoothness_noise``) from which on there is no point spread, since
-    noise rewards blur. 0: there is one whatever the noise. Open choice."""
+    by_noise: bool = False
+    """The noise of its training images, which is measured, decides how much of this they need: the noisier they are,
+    the more smoothness and the less weight above 1, and images of a noisy sensor have no point spread
+    (training/sensor_facts.py). Off: ``loss``, ``smoothness`` and ``point_spread`` are taken as they are."""
     exposure: Exposure = "fixed"
     """What differs between its training images though the scene does not; held-out images are rendered without.
     "level": each image has a level of its own, as of an uncooled camera that drifts. "affine": gain and level, of
@@ -113,6 +109,10 @@ class SpectrumConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unit", unit_named(self.unit))
+
+
+STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
+"""Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
 
 
 def unit_named(word: str) -> str:
@@ -162,8 +162,8 @@ class Spectrum:
     """First latent channel that is supervised with its images, and one beyond the last; equal: none is."""
     modulated_by: str | None
     """Spectrum whose prior modulates its decoded image; None: it has a prior of its own."""
-    point_spread: float = 0.0
-    """Blur of its images before training [of an image's width]; 0: none."""
+    settings: SpectrumConfig = field(default_factory=SpectrumConfig, compare=False)
+    """What else was asked for: its formation reads it."""
 
     @property
     def is_photograph(self) -> bool:
@@ -211,10 +211,19 @@ def model_spectra(
             opacity="shared" if place == 0 else spectrum.opacity,
             latent=latent[name],
             modulated_by=_modulating(name, spectra),
-            point_spread=spectrum.point_spread,
+            settings=spectrum,
         )
         for place, (name, spectrum) in enumerate(spectra.items())
     )
+
+
+def first_photograph(spectra: Sequence[Spectrum]) -> str | None:
+    """The spectrum of which SH colours are blended beside features: a photograph that comes first; None: there is none.
+
+    Args:
+        spectra: All of a model, in order.
+    """
+    return spectra[0].name if spectra[0].is_photograph else None
 
 
 def _modulating(name: str, spectra: Mapping[str, SpectrumConfig]) -> str | None:

@@ -1,5 +1,7 @@
 """The moment at which most memory is held, found in notes of allocations as torch writes them."""
 
+import gc
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -92,8 +94,14 @@ def test_what_a_snapshot_holds() -> None:
 
 @pytest.mark.cuda
 def test_the_peak_of_recording_a_graph() -> None:
-    """What is held before has its lines; what a graph works with is allocated while it is recorded, and reserved."""
+    """What is held before has its lines; what a graph works with is allocated while it is recorded, and reserved.
+
+    Other tests of this process may have left tensors and graphs on the device, larger ones too.
+    """
     device, graph = torch.device("cuda", 0), torch.cuda.CUDAGraph()
+    gc.collect()  # recording begins with both of these: what they free must be gone before anything is counted
+    torch.cuda.empty_cache()
+    reserved_before, allocated_before = reserved_by_pool(device)["of graphs"]
     start_noting()
     try:
         held = torch.ones(8 * MEGABYTE, dtype=torch.uint8, device=device)
@@ -105,12 +113,10 @@ def test_the_peak_of_recording_a_graph() -> None:
 
         peak = peak_of(record, device)
         assert peak.bytes - peak.before >= 16 * MEGABYTE
-        assert [size // MEGABYTE for size, _ in peak.held[:2]] == [16, 8]
-        assert [where[0].rsplit(" ", 1)[1] for _, where in peak.held[:2]] == [
-            "record",
-            "test_the_peak_of_recording_a_graph",
-        ]
+        ours = [(size, where[0]) for size, where in peak.held if where and Path(__file__).name in where[0]]
+        assert [size // MEGABYTE for size, _ in ours[:2]] == [16, 8]
+        assert [line.rsplit(" ", 1)[1] for _, line in ours[:2]] == ["record", "test_the_peak_of_recording_a_graph"]
         reserved, allocated = reserved_by_pool(device)["of graphs"]
-        assert reserved >= 16 * MEGABYTE > allocated
+        assert reserved - reserved_before >= 16 * MEGABYTE > allocated - allocated_before
     finally:
         stop_noting()

@@ -12,6 +12,7 @@ from thermosplat.config.files import to_dict
 from thermosplat.export.formats.ply import PROPERTIES, write_splats
 from thermosplat.export.splats import Splats
 from thermosplat.runs.checkpoint_file import save_checkpoint
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import ColorSpace, model_spectra
@@ -68,8 +69,8 @@ def test_a_checkpoint_is_read_with_features_and_thermal_opacities(tmp_path: Path
     config = TrainConfig(data=str(tmp_path / "gone"), sh_degree=1)
     config = replace(config, model=replace(config.model, feature_dim=8))
     kinds: dict[str, ColorSpace] = {"rgb": "photograph", "thermal": "color"}
-    spectra = model_spectra(config.modelled, kinds)
-    model = SceneModel(config.model, config.decoder, spectra, {"shared": Gaussians(values)})
+    formations = Formations(config.model, config.decoder, model_spectra(config.modelled, kinds))
+    model = SceneModel(config.model, formations, {"shared": Gaussians(values)})
     state = {"step": 3, "config": to_dict(config), "sh_degree": 1, "model": vars(model.checkpoint_state())}
     path = tmp_path / "run" / "ckpts" / "step_000003.pt"
     scales = {name: PixelScale(kind).state_dict() for name, kind in kinds.items()}

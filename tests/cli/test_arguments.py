@@ -10,6 +10,7 @@ import pytest
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config, to_yaml
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.errors import UserError
 from toy_scene import with_spectra
 
@@ -122,14 +123,7 @@ def test_typo_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--max-steps" in capsys.readouterr().err
 
 
-def test_help_shows_the_presets_values(capsys: pytest.CaptureFixture[str]) -> None:
-    """--help beside --config shows that preset's values as the defaults."""
-    with pytest.raises(SystemExit) as stop:
-        parse_train_arguments(["--config", "demo", "--help"])
-    assert stop.value.code == 0
-    assert f"(default: {load_config('demo').max_steps})" in capsys.readouterr().out
-
-
+@pytest.mark.rotating
 @pytest.mark.parametrize("command", ["train", "evaluate", "render", "export", "prepare", "benchmark"])
 def test_help_imports_nothing_heavy(command: str) -> None:
     """--help of every command answers without torch, Warp, OpenCV, kornia or pycolmap."""
@@ -180,6 +174,9 @@ def test_resume_may_go_on_longer(run_folder: Path) -> None:
     flags = ["--max-steps", "5000", "--device", "cpu", "--log-every", "7", "--config", "demo"]
     config = parse_train_arguments(["--resume", str(run_folder), *flags])
     assert (config.max_steps, config.device, config.log_every) == (5000, "cpu", 7)
+    of_run = parse_train_arguments(["--resume", str(run_folder)])
+    assert of_run.max_steps < 5000
+    assert (in_steps(config).densification, config.sh_degree_interval) == (in_steps(of_run).densification, 170)
 
 
 def test_resume_for_a_number_of_steps_ends_there(run_folder: Path) -> None:

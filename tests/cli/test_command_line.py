@@ -14,7 +14,7 @@ from thermosplat.cli import benchmark, evaluate, export, prepare, render, train
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.errors import UserError
 
-pytestmark = pytest.mark.usefixtures("stoppable")
+pytestmark = [pytest.mark.usefixtures("stoppable"), pytest.mark.rotating]
 
 COMMANDS = {
     "train": train,
@@ -89,11 +89,11 @@ def test_help_has_the_examples(command: str, examples: int, capsys: pytest.Captu
 
 def test_help_wraps_at_the_edge_alone(capsys: pytest.CaptureFixture[str]) -> None:
     """Where a description's line ends in the source cannot be seen."""
-    assert train.main(["--help"]) == 0
+    assert train.main(["--help-all"]) == 0
     printed = capsys.readouterr().out
     lines = " ".join(re.sub("[│╭╮╰╯─]", " ", printed).split())
-    assert "Other schedules (densification, SH degree) are not rescaled when this changes, as in gsplat." in lines
-    assert not re.search("not rescaled when *│\n", printed)
+    assert "Schedules are shares of them, unless they are given in steps, as whole numbers." in lines
+    assert not re.search("unless they are given in *│\n", printed)
 
 
 def test_help_that_nobody_reads() -> None:

@@ -95,7 +95,7 @@ def test_flags_of_settings_that_are_gone(name: str) -> None:
     for value in neutral:
         for words in flags_of(name, value):
             assert without_gone_flags(["data/shed", *words, "--seed", "3"]) == ["data/shed", "--seed", "3"]
-    other = not neutral[0] if isinstance(neutral[0], bool) else "7e5"
+    other = not neutral[0] if isinstance(neutral[0], bool) else "7.5"
     for words in flags_of(name, other):
         with pytest.raises(UserError, match=f"{words[0].partition('=')[0]} is no setting any more, found") as caught:
             parse_train_arguments(["data/shed", *words])

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+import thermosplat
 from thermosplat.__main__ import COMMANDS, main
 from training_processes import environment
+
+pytestmark = pytest.mark.rotating
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
@@ -38,6 +41,7 @@ def strange(tmp_path: Path) -> Path:
 def test_every_script_is_a_command() -> None:
     """The table has the installed scripts, and leads to the same functions."""
     scripts = {name.removeprefix("thermosplat-"): target for name, target in PROJECT["scripts"].items()}
+    assert scripts.pop("thermosplat") == "thermosplat.__main__:main"
     assert {name: f"{module}:main" for name, module in COMMANDS.items()} == scripts
 
 
@@ -75,6 +79,8 @@ def test_mistakes_end_with_2() -> None:
 
 
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    """--help without a command."""
+    """--help without a command; --version, too, needs none."""
     assert main(["--help"]) == 0
-    assert "prepare|train|eval|render|view|export|benchmark" in capsys.readouterr().out
+    assert "thermosplat prepare|train|eval|render|view|export|benchmark" in capsys.readouterr().out
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"thermosplat {thermosplat.__version__}\n"

@@ -96,7 +96,7 @@ def test_other_flags_name_no_spectrum() -> None:
 def test_help_has_the_settings_of_every_spectrum(file: str, capsys: pytest.CaptureFixture[str]) -> None:
     """With the values of the file."""
     with pytest.raises(SystemExit) as stop:
-        parse_train_arguments(["--config", file, "--help"])
+        parse_train_arguments(["--config", file, "--help-all"])
     assert stop.value.code == 0
     printed = " ".join(capsys.readouterr().out.replace("│", " ").split())  # lines end where the terminal does
     for name in ("rgb", "thermal", "nir", "red-edge"):

@@ -11,7 +11,7 @@ import pytest
 
 from training_processes import environment
 
-pytestmark = pytest.mark.usefixtures("stoppable")
+pytestmark = [pytest.mark.usefixtures("stoppable"), pytest.mark.rotating]
 
 
 def _terminate(process: "subprocess.Popen[str]") -> None:

@@ -5,14 +5,51 @@ import math
 
 import pytest
 
-from thermosplat.config import OptimizerConfig, TrainConfig
-from thermosplat.config.run_schedule import adam_betas, run_schedule, scaled_steps, steps_note
+from thermosplat.config import DensificationConfig, OptimizerConfig, TrainConfig
+from thermosplat.config.files import load_config
+from thermosplat.config.run_schedule import adam_betas, in_steps, run_schedule, scaled_steps, steps_note
+
+PRESETS_IN_STEPS = {
+    "thermosplat": (1000, 500, 500, 15_000, 100, 3000, 250),
+    "thermosplat_plus": (600, 250, 130, 4800, 35, 600, 170),
+    "thermosplat_fast": (400, 167, 133, 3200, 33, 400, 113),
+    "demo": (170, 40, 40, 440, 20, 680, 250),
+    "3dgs": (1000, 500, 500, 15_000, 100, 3000, 250),
+    "ms_splatting": (1000, 500, 500, 45_000, 300, 9000, 250),
+    "thermalgaussian_mftg": (1000, 500, 500, 15_000, 100, 3000, 250),
+}
+
+
+def schedule(config: TrainConfig) -> tuple[float, ...]:
+    """All that may be steps or a share of the run."""
+    density = config.densification
+    of_density = (density.start_step, density.stop_step, density.every, density.reset_every)
+    return config.sh_degree_interval, config.refine_from, *of_density, config.auto_budget.validate_every
+
+
+@pytest.mark.parametrize("preset", PRESETS_IN_STEPS)
+def test_presets_have_shares_that_are_published_steps(preset: str) -> None:
+    """And nothing of theirs is given in steps, so that another number of them has the same course."""
+    config = load_config(preset)
+    assert all(isinstance(share, float) for share in schedule(config))
+    assert schedule(in_steps(config)) == PRESETS_IN_STEPS[preset]
+    twice = in_steps(dataclasses.replace(config, max_steps=2 * config.max_steps))
+    assert schedule(twice) == pytest.approx([2 * steps for steps in PRESETS_IN_STEPS[preset]], abs=1)
+
+
+def test_steps_that_are_given_stay() -> None:
+    """Whatever the length of the run; a share is a step at least, but for none at all."""
+    density = DensificationConfig(start_step=0, stop_step=7, every=0.001, reset_every=1.0)
+    found = in_steps(TrainConfig(max_steps=90, densification=density)).densification
+    assert (found.start_step, found.stop_step, found.every, found.reset_every) == (0, 7, 1, 90)
+    assert in_steps(TrainConfig(densification=DensificationConfig(stop_step=0.0))).densification.stop_step == 0
+    assert in_steps(TrainConfig(max_steps=90), 30_000).densification == in_steps(TrainConfig()).densification
 
 
 def test_one_frame_per_step_and_no_scaler_change_nothing() -> None:
     """Not even the object."""
     for size in (None, 1):
-        config = TrainConfig(batch_size=size)
+        config = in_steps(TrainConfig(batch_size=size))
         assert run_schedule(config) is config
     assert adam_betas(1) == (0.9, 0.999)
 
@@ -20,9 +57,9 @@ def test_one_frame_per_step_and_no_scaler_change_nothing() -> None:
 def test_schedules_count_images_and_rates_follow_the_root() -> None:
     """Every number of steps is divided, rounded up; rates and decay, and no other setting of Adam, take √B."""
     optimizer = OptimizerConfig(shN_decay=4.0)
-    config = TrainConfig(batch_size=4, max_steps=30_001, save_steps=(2, 7000), optimizer=optimizer)
+    config = TrainConfig(batch_size=4, max_steps=30_000, save_steps=(2, 7000), optimizer=optimizer)
     scaled = run_schedule(config)
-    assert scaled.max_steps == 7501
+    assert scaled.max_steps == 7500
     assert scaled.save_steps == (1, 1750)
     assert scaled.densification.every == 25
     assert scaled.densification.stop_step == 3750
@@ -30,9 +67,9 @@ def test_schedules_count_images_and_rates_follow_the_root() -> None:
     assert scaled.refine_every == 2
     assert scaled.refine_first == 150
     assert scaled.refine_rounds_from == 21
-    assert scaled.auto_budget.patience == 750
+    assert scaled.auto_budget.validate_every == 63
     assert scaled.log_every == config.log_every
-    unscaled = ("eps", "final_share", "cooldown_from")
+    unscaled = ("final_share", "cooldown_from")
     for field in dataclasses.fields(config.optimizer):
         before, after = getattr(config.optimizer, field.name), getattr(scaled.optimizer, field.name)
         assert after == (before if field.name in unscaled else 2 * before), field.name
@@ -52,7 +89,7 @@ def test_a_scaler_shortens_all_schedules(batch_size: int) -> None:
     densification, budget = scaled.densification, scaled.auto_budget
     assert (densification.start_step, densification.stop_step) == (150 / batch_size, 4500 / batch_size)
     assert (densification.every, densification.reset_every) == (30 / batch_size, 900 / batch_size)
-    assert (budget.patience, budget.validate_every) == (900 / batch_size, math.ceil(75 / batch_size))
+    assert budget.validate_every == math.ceil(75 / batch_size)
     cameras = ("refine_first", "refine_every", "refine_rounds_from", "log_every")
     assert [getattr(scaled, name) for name in cameras] == [getattr(batches, name) for name in cameras]
     assert scaled.optimizer == batches.optimizer
@@ -73,7 +110,7 @@ def test_more_views_ask_for_more_steps(views: int, steps: int) -> None:
     scaled = run_schedule(config, views)
     assert scaled.max_steps == steps
     assert scaled.save_steps == (steps / 2,)
-    assert scaled.densification.stop_step == math.ceil(15_000 * steps / 9000)
+    assert scaled.densification.stop_step == steps / 2
     assert bool(steps_note(config, views, ())) == (steps > 9000)
     assert run_schedule(TrainConfig(max_steps=9000), views).max_steps == 9000
 
@@ -113,12 +150,13 @@ def test_noise_asks_for_more_steps(views: int, noisy: tuple[str, ...], steps: in
 
 def test_noise_changes_no_schedule_that_does_not_say_so() -> None:
     """Nor one that is as long as any."""
-    for config in (TrainConfig(max_steps=6000), TrainConfig(max_steps=30_000, noisy_steps=1.5)):
+    for shares in (TrainConfig(max_steps=6000), TrainConfig(max_steps=30_000, noisy_steps=1.5)):
+        config = in_steps(shares)
         assert run_schedule(config, 45, ("rgb",)) is config
         assert steps_note(config, 45, ("rgb",)) == ()
 
 
 def test_a_schedule_longer_than_the_longest_stays() -> None:
     """More views never shorten one."""
-    config = TrainConfig(max_steps=40_000, steps_for_views=45)
+    config = in_steps(TrainConfig(max_steps=40_000, steps_for_views=45))
     assert run_schedule(config, 90) is config

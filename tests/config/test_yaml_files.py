@@ -73,14 +73,14 @@ def test_large_files_are_refused(tmp_path: Path) -> None:
         (f"seed: {'9' * 400}\n", '"seed" must be a whole number, found 999'),
         (f"seed: 0x{'9' * 5001}\n", '"seed" must be a whole number, found a int that is too long'),
         (f"init: {'9' * 400}\n", "unknown key"),
-        (f"model:\n  init_scale: {'9' * 400}\n", '"model.init_scale" must be a number, found 999'),
+        (f"model:\n  eps2d: {'9' * 400}\n", '"model.eps2d" must be a number, found 999'),
         (f"{'x' * 1000}: 1\n", r'unknown key "x+\.\.\."'),
         (f"config: {'x' * 5000}\nseed: {'x' * 5000}\n", "found 'x+\\.\\.\\.\\."),
         (f"base: {'x' * 5000}\n", "neither a preset nor a YAML file"),
         (f"base: {'x' * 5000}.yaml\n", "There is no configuration file"),
         ("base: ''\n", "neither a preset"),
         (b"\xff\xfe\x00", "it is not UTF-8"),
-        ("decoder:\n  hidden_layers: 100000\n", "decoder.hidden_layers must be at most 64"),
+        ("decoder:\n  hidden_dim: 100000\n", "decoder.hidden_dim must be at most 65536"),
         ("max_steps: 9223372036854775808\n", '"max_steps" must be a whole number'),
     ],
 )
@@ -101,8 +101,8 @@ def test_a_deep_dictionary_is_refused() -> None:
 
 
 def test_flags_have_bounds() -> None:
-    """100,000 layers are refused before the first is built, and so are steps without an end."""
-    with pytest.raises(UserError, match=r"--decoder\.hidden-layers must be at most 64, found 100000"):
-        check_config(fill(TrainConfig(), {"decoder": {"hidden_layers": 100_000}}, source=""))
+    """100,000 channels are refused before the first is built, and so are steps without an end."""
+    with pytest.raises(UserError, match=r"--decoder\.hidden-dim must be at most 65536, found 100000"):
+        check_config(fill(TrainConfig(), {"decoder": {"hidden_dim": 100_000}}, source=""))
     with pytest.raises(UserError, match=r"--max-steps must be at most 100000000, found 1000"):
         check_config(TrainConfig(max_steps=10**400))

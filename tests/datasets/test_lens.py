@@ -10,8 +10,8 @@ import torch
 
 from capture_folders import synthetic_model, write_image, write_model, write_rgbt_scenes, write_transforms
 from thermosplat.datasets import load_capture
-from thermosplat.datasets.frame_tensors import ViewTensors, has_fisheye, lens_tensor
-from thermosplat.datasets.lens import COEFFICIENTS, Lens, camera_through_lens, rectification, rectified_camera, shrunk
+from thermosplat.datasets.frame_tensors import ViewTensors, lens_tensor
+from thermosplat.datasets.lens import RENDERED, Lens, camera_through_lens, rectification, rectified_camera, shrunk
 from thermosplat.errors import UserError
 from thermosplat.scene.lens_slopes import bent
 
@@ -136,7 +136,7 @@ def test_a_camera_with_its_lens_sees_points_where_colmap_does(model: str, scale:
     points = np.random.default_rng(1).uniform([-0.5, -0.4, 0.9], [0.5, 0.4, 1.1], (50, 3))
     expected = scale * pycolmap.Camera(model=model, params=LENSES[model], width=64, height=48).img_from_cam(points)
     K = torch.from_numpy(camera.K)
-    view = ViewTensors(torch.eye(4), K, 64, 48, lens=lens_tensor(camera, "cpu"), fisheye=has_fisheye(camera))
+    view = ViewTensors(torch.eye(4), K, 64, 48, lens=lens_tensor(camera, "cpu"), lens_model=camera.lens_model)
     slopes = bent(torch.from_numpy(points[:, :2] / points[:, 2:]), view)
     np.testing.assert_allclose(slopes * K.diagonal()[:2] + K[:2, 2], expected, atol=1e-4)
 
@@ -145,7 +145,7 @@ def test_every_model_of_colmap_is_known() -> None:
     """Whatever a later COLMAP adds has its place in one of the lists above."""
     known = PINHOLES | PANORAMAS | LENSES.keys() | RESAMPLED.keys()
     assert known >= pycolmap.CameraModelId.__members__.keys() - {"INVALID"}
-    assert {model for model in known - PANORAMAS - PINHOLES if model in COEFFICIENTS} == LENSES.keys()
+    assert {model for models in RENDERED.values() for model in models} == LENSES.keys()
 
 
 @pytest.mark.parametrize("model", RESAMPLED)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from ranks import Ranks
+from toy_run import toy_sizes
 
 
 @pytest.fixture(autouse=True, scope="package")
@@ -23,3 +24,10 @@ def ranks() -> Iterator[Ranks]:
     started = Ranks(3)
     yield started
     started.close()
+
+
+@pytest.fixture(autouse=True)
+def _toy_sizes() -> Iterator[None]:
+    """Of the Gaussians of toy captures."""
+    with toy_sizes():
+        yield

@@ -1,13 +1,12 @@
 """Python in the documents: whole examples run, fragments of files can be parsed."""
 
 import ast
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
 import pytest
 
+from forked_processes import run_python
 from repository_documents import NAMES, code_blocks
 from thermosplat.cli import train
 
@@ -16,12 +15,13 @@ STANDALONE = [(name, code) for name, code in EXAMPLES if "load_run(" not in code
 FRAGMENTS = [(name, code) for name in NAMES for code in code_blocks(name, "py")]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("document", "code"), STANDALONE, ids=[name for name, _ in STANDALONE])
 def test_the_examples_run(document: str, code: str, tmp_path: Path) -> None:
     """An example runs as it stands, in a process and a folder of its own."""
     script = tmp_path / "example.py"  # Warp reads the source of kernels
     script.write_text(code, encoding="utf-8")
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = run_python(script, folder=tmp_path)
     assert done.returncode == 0, f"{document}: {done.stderr}"
 
 
@@ -40,14 +40,21 @@ def test_the_readme_has_the_example_of_the_renderer() -> None:
     assert names["means"].grad.abs().sum() > 0  # type: ignore[attr-defined]
 
 
-def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the result folder of `thermosplat-train sample` to images, numbers, videos and files; after a small step."""
+@pytest.fixture
+def trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    """What the README's example knows of the result folder of `thermosplat-train sample`; after a small step."""
     (example,) = [code for name, code in EXAMPLES if name == "README.md" and "load_run(" in code]
     monkeypatch.chdir(tmp_path)
     quick = ["--data-factor", "4", "--max-steps", "1", "--device", "cpu", "--no-tensorboard"]
     assert train.main(["sample", *quick]) == 0  # its default folder is the one the example names
     names: dict[str, object] = {}
     exec(example, names)
+    return names
+
+
+def test_the_readme_has_the_example_of_a_trained_scene(trained: dict[str, object]) -> None:
+    """Images, numbers and temperatures, also in the documents of the viewer and of trained scenes."""
+    names = trained
     for image in (names["rgb"], names["thermal"]):
         assert image.shape == (38, 50, 3)  # type: ignore[attr-defined]
         assert image.isfinite().all()  # type: ignore[attr-defined]
@@ -57,13 +64,19 @@ def test_the_readme_has_the_example_of_a_trained_scene(tmp_path: Path, monkeypat
     assert names["image"].unit == "°C"  # type: ignore[attr-defined]
     assert names["area"].minimum < names["area"].maximum  # type: ignore[attr-defined]
     assert Path("results/measured.csv").is_file()
+    (measuring,) = [code for name, code in EXAMPLES if name == "docs/api/trained-scenes.md"]
+    exec(measuring, names)
+    assert names["celsius"].shape == names["depth"].shape == (38, 50)  # type: ignore[attr-defined]
+    assert 0 < names["celsius"].mean() < 60  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_a_trained_scene_is_exported(trained: dict[str, object]) -> None:
+    """Videos and files, as the document of exports writes them."""
+    names = trained
     exports = [code for name, code in EXAMPLES if name == "docs/exports.md" and "load_run(" in code]
     for exporting in exports:
         exec(exporting, names)
     assert names["video"].stat().st_size > 0  # type: ignore[attr-defined]
     assert names["fit"].after >= names["fit"].before  # type: ignore[attr-defined]
     assert {file.path.suffix for file in names["files"]} == {".spz", ".sog", ".usd"}  # type: ignore[attr-defined]
-    (measuring,) = [code for name, code in EXAMPLES if name == "docs/api/trained-scenes.md"]
-    exec(measuring, names)
-    assert names["celsius"].shape == names["depth"].shape == (38, 50)  # type: ignore[attr-defined]
-    assert 0 < names["celsius"].mean() < 60  # type: ignore[attr-defined]

@@ -25,7 +25,7 @@ def test_hybrid_rgb_adds_the_decoded_color() -> None:
     model = toy_model(toy_config(), capture)
     gaussians = model.gaussians("shared")
     splats = spectrum_splats(model, "rgb", capture.scales)
-    expected = constant_color(gaussians.sh0) + model.decoders.image("rgb", gaussians.features)
+    expected = constant_color(gaussians.sh0) + model.formations.decoder.image("rgb", gaussians.features)
     torch.testing.assert_close(constant_color(splats.sh0), expected)
     torch.testing.assert_close(splats.shN, gaussians.shN)
     torch.testing.assert_close(splats.logit_opacities, gaussians.logit_opacities)
@@ -38,7 +38,7 @@ def test_decoded_rgb_alone_replaces_the_sh_color() -> None:
     model = toy_model(toy_config(decoder={"hybrid": False}), capture)
     splats = spectrum_splats(model, "rgb", capture.scales)
     torch.testing.assert_close(
-        constant_color(splats.sh0), model.decoders.image("rgb", model.gaussians("shared").features)
+        constant_color(splats.sh0), model.formations.decoder.image("rgb", model.gaussians("shared").features)
     )
     assert not splats.shN.any()
 
@@ -52,7 +52,7 @@ def test_thermal_is_decoded_at_the_thermal_opacity(kind: str) -> None:
     with torch.no_grad():
         gaussians.logit_opacities[0] = 40.0
     splats = spectrum_splats(model, "thermal", capture.scales)
-    decoded = model.decoders.image("thermal", gaussians.features).detach()
+    decoded = model.formations.decoder.image("thermal", gaussians.features).detach()
     if kind == "scalar":
         decoded = torch.as_tensor(FLIR_IRON.to_color(decoded[:, 0].numpy())).float()
     torch.testing.assert_close(constant_color(splats.sh0), decoded)
@@ -66,7 +66,7 @@ def test_decoders_see_waves_of_each_gaussians_features() -> None:
     model = toy_model(toy_config(decoder={"fourier_frequency": 3.0}), capture)
     inputs = with_fourier_features(model.gaussians("shared").features, 3.0)
     splats = spectrum_splats(model, "thermal", capture.scales)
-    torch.testing.assert_close(constant_color(splats.sh0), model.decoders.image("thermal", inputs).detach())
+    torch.testing.assert_close(constant_color(splats.sh0), model.formations.decoder.image("thermal", inputs).detach())
 
 
 def test_separate_sets_export_their_own_harmonics() -> None:
@@ -134,7 +134,7 @@ def test_a_third_spectrum_has_a_file_of_its_own(tmp_path: Path) -> None:
     splats = spectrum_splats(model, "nir", capture.scales)
     gaussians = model.gaussians("shared")
     torch.testing.assert_close(splats.logit_opacities, gaussians.logits_in("nir"))
-    decoded = model.decoders.image("nir", gaussians.features).detach()
+    decoded = model.formations.decoder.image("nir", gaussians.features).detach()
     torch.testing.assert_close(constant_color(splats.sh0), decoded.expand(-1, 3))
     written = export_scene(model, tmp_path, scales=capture.scales)
     assert list(written) == ["rgb", "thermal", "nir"]

@@ -4,11 +4,9 @@ THERMOSPLAT_FUZZ_CASES=5000 pytest tests/faults/test_fuzz_rasterization.py
 """
 
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import rasterization_cases
+from forked_processes import run_python
 
 CASES = int(os.environ.get("THERMOSPLAT_FUZZ_CASES", "300"))
 """As in the other tests of faults."""
@@ -16,16 +14,9 @@ CASES = int(os.environ.get("THERMOSPLAT_FUZZ_CASES", "300"))
 
 def test_any_arguments() -> None:
     """In a process of its own, which may crash or hang; the message then has the last case."""
-    command = [sys.executable, rasterization_cases.__file__, "--count", str(CASES)]
-    allowed = 300 + CASES
-    done = subprocess.run(command, capture_output=True, text=True, timeout=allowed, env=_environment())
+    done = run_python(rasterization_cases.__file__, "--count", str(CASES), seconds=300 + CASES)
     lines = done.stdout.splitlines()
     assert done.returncode == 0, f"{lines[-1:]}\n{done.stderr[-6000:]}"
     assert lines[-2] == f"case {CASES - 1}"
     for kind in ("UserError", "images", "differentiated"):  # else the cases would all be wrong, or all be right
         assert kind in lines[-1]
-
-
-def _environment() -> dict[str, str]:
-    """This process's, with its module path."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, sys.path)])}

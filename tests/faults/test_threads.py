@@ -1,15 +1,16 @@
 """Threads that use kernels which are not loaded yet: servers, viewers and data loaders do that."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
+from forked_processes import run_python
+
 FIRST_RENDERS = """
-import sys, threading
+import faulthandler, sys, threading
 import torch
+faulthandler.enable()
 from thermosplat.rasterizer import rasterization, rasterization_rgbt
 
 def scene():
@@ -52,8 +53,7 @@ torch.save(found, sys.argv[2])
 
 def first_renders(threads: int, path: Path) -> list[list[torch.Tensor]]:
     """Images and gradients that each thread of a new process found, all threads having begun at the same moment."""
-    command = [sys.executable, "-X", "faulthandler", "-c", FIRST_RENDERS, str(threads), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    done = run_python("-c", FIRST_RENDERS, str(threads), path, seconds=300)
     assert done.returncode == 0, done.stderr[-4000:]
     return torch.load(path)
 

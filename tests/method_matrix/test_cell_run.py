@@ -18,7 +18,9 @@ CELL = Cell("sample", "mmone", 42)
 
 
 def quick_config(steps: int = 4) -> TrainConfig:
-    return cell_config("mmone", Scene("sample", "sample"), 42, max_steps=steps, data_factor=4, device="cpu")
+    return cell_config(
+        "mmone", Scene("sample", "sample"), 42, max_steps=steps, data_factor=4, device="cpu", sh_degree_interval=1000
+    )
 
 
 def test_finished_cell_says_everything(tmp_path: Path) -> None:

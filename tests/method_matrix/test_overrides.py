@@ -16,13 +16,13 @@ SCENES = ("lab", "desk")
 def test_settings_of_one_method_and_of_all() -> None:
     """Fields of groups with a dot, numbers as YAML has them, texts as they are."""
     one, every, small = parse_overrides(
-        ["3dgs:densification.max_gaussians=150000", "rasterize_mode_is=x", "optimizer.eps=1e-8"], SCENES, METHODS
+        ["3dgs:densification.max_gaussians=150000", "rasterize_mode_is=x", "optimizer.quats_lr=1e-8"], SCENES, METHODS
     )
     assert (one.cells, every.cells) == ("3dgs", "")
     config = one.applied(load_config("3dgs"))
     assert config.densification.max_gaussians == 150_000
     assert config.densification.grad_threshold == load_config("3dgs").densification.grad_threshold
-    assert small.applied(config).optimizer.eps == 1e-8
+    assert small.applied(config).optimizer.quats_lr == 1e-8
     with pytest.raises(UserError, match='--set rasterize_mode_is=x: unknown key "rasterize_mode_is"'):
         every.applied(config)
 

@@ -14,6 +14,8 @@ from thermosplat import rasterization, rasterization_rgbt
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.lenses import FThetaCameraDistortionParameters, FThetaPolynomialType
 
+pytestmark = pytest.mark.rotating
+
 FORWARD = [0.0, 30.0, 0.6, -1.2, 0.3, -0.05]
 """An f-theta lens: distances [px] of angles."""
 

@@ -12,6 +12,8 @@ from gaussian_scenes import Scene, leaves, random_scene
 from hard_scenes import FINITE, LARGE, NON_FINITE, ON_THRESHOLDS, hard_scene
 from thermosplat.rasterizer import median_depths, project, rasterization
 
+pytestmark = pytest.mark.rotating
+
 OF_REFERENCE = set(inspect.signature(reference_rasterizer.rasterization).parameters) - {"render_mode", "backgrounds"}
 TAKEN = OF_REFERENCE & set(inspect.signature(project).parameters)
 SMALL = [name for name in FINITE if name not in LARGE]

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.rotating
+
 LACKING = """
 import os, random, signal, socket, sys
 import torch, warp

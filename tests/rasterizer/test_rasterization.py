@@ -19,6 +19,8 @@ from gaussian_scenes import (
 from thermosplat import rasterization
 from thermosplat.errors import UserError
 
+pytestmark = pytest.mark.rotating
+
 RENDER_MODES = ["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 CAMERA_MODELS = ["pinhole", "ortho", "fisheye"]
 RASTERIZE_MODES = ["classic", "antialiased"]

@@ -16,6 +16,8 @@ from gaussian_scenes import (
 )
 from thermosplat import rasterization, rasterization_rgbt
 
+pytestmark = pytest.mark.rotating
+
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("camera_model", ["pinhole", "ortho"])

@@ -10,6 +10,8 @@ import reference_rasterizer
 from gaussian_scenes import assert_matches_reference, leaves, random_scene, relative_error
 from thermosplat import UserError, rasterization, spherical_harmonics
 
+pytestmark = pytest.mark.rotating
+
 DTYPES = [torch.float32, torch.float64]
 
 

@@ -10,6 +10,8 @@ import reference_rays
 from gaussian_scenes import gradients, leaves, random_scene, relative_error, upstream_gradients
 from thermosplat import UserError, rasterization
 
+pytestmark = pytest.mark.rotating
+
 DTYPES = [torch.float32, torch.float64]
 
 

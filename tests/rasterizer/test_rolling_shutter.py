@@ -11,6 +11,8 @@ import reference_lens_rasterizer
 from gaussian_scenes import Scene, assert_matches_reference, random_scene
 from thermosplat import RollingShutterType, rasterization
 
+pytestmark = pytest.mark.rotating
+
 DIRECTIONS = [kind for kind in RollingShutterType if kind is not RollingShutterType.GLOBAL]
 
 

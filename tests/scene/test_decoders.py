@@ -132,14 +132,6 @@ def test_a_third_spectrum_has_a_prior_and_a_head_of_its_own() -> None:
     }
 
 
-def test_hidden_layers() -> None:
-    """The encoder has as many linear layers as asked for, each followed by SiLU."""
-    model = decoders(hidden_layers=3)
-    assert [type(m).__name__ for m in model.shared_encoder] == ["Linear", "SiLU"] * 3
-    assert model.shared_encoder[0].in_features == 8
-    assert model.shared_encoder[4].in_features == 16
-
-
 def test_both_branches_at_once() -> None:
     """The joint pass gives the images and gradients of the two separate ones, with and without modulation."""
     for modulation in (True, False):

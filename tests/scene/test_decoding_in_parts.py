@@ -1,12 +1,15 @@
 """Images that are decoded some rows at a time are the images."""
 
+from collections.abc import Mapping
+
 import pytest
 import torch
+from torch import Tensor
 
 from thermosplat.config import DecoderConfig
 from thermosplat.scene import decoding_in_parts
 from thermosplat.scene.decoding_in_parts import decode_in_parts
-from thermosplat.scene.spectrum_decoders import make_decoders
+from thermosplat.scene.formations.kinds import make_decoder
 from toy_scene import toy_capture, toy_config, toy_model
 
 
@@ -14,15 +17,18 @@ from toy_scene import toy_capture, toy_config, toy_model
 def test_parts_are_the_image(branches: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of all spectra, of any number of rows; with gradients it is decoded in one piece."""
     spectra = list(toy_model(toy_config(), toy_capture()).spectra.values())
-    decoders = make_decoders(DecoderConfig(branches=branches), 8, spectra)  # type: ignore[arg-type]
+    decoder = make_decoder(DecoderConfig(branches=branches), 8, spectra)  # type: ignore[arg-type]
     inputs = {spectrum.name: torch.randn(13, 7, 8) for spectrum in spectra}
     heights: list[int] = []
-    decode = decoders.decode
-    monkeypatch.setattr(decoders, "decode", lambda some: heights.append(len(some["rgb"])) or decode(some))
+
+    def decode(some: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        heights.append(len(some["rgb"]))
+        return decoder.decode(some)
+
     monkeypatch.setattr(decoding_in_parts, "PIXELS_AT_ONCE", 4 * 7 + 3)
-    whole = decode_in_parts(decoders, inputs)
+    whole = decode_in_parts(decode, inputs)
     with torch.no_grad():
-        parts = decode_in_parts(decoders, inputs)
+        parts = decode_in_parts(decode, inputs)
     assert heights == [13, 4, 4, 4, 1]
     for name, image in whole.items():
         assert image.requires_grad

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat.config import ModelConfig
+from thermosplat.config import DecoderConfig, ModelConfig
 from thermosplat.errors import UserError
+from thermosplat.scene.formations.formation import Formation
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.spectra import Spectrum
 
@@ -25,6 +27,12 @@ THERMAL = Spectrum("thermal", 1, "scalar", "offset", (3, 4), None)
 NIR = Spectrum("nir", 1, "scalar", "own", (4, 5), None)
 
 
+def formations_of(config: ModelConfig, *spectra: Spectrum) -> list[Formation]:
+    with torch.device("meta"):  # draws nothing
+        formations = Formations(config, DecoderConfig(), spectra)
+    return [formations[spectrum.name] for spectrum in spectra]
+
+
 def start(
     config: ModelConfig | None = None,
     spectra: Sequence[Spectrum] = (RGB, THERMAL),
@@ -35,8 +43,9 @@ def start(
     points, colors = cloud()
     generator = torch.Generator().manual_seed(seed)
     config = config or ModelConfig()
+    formations = formations_of(config, *spectra)
     return Gaussians.from_points(
-        points, colors, config=config, sh_degree=sh_degree, generator=generator, spectra=spectra
+        points, colors, config=config, sh_degree=sh_degree, generator=generator, formations=formations
     )
 
 
@@ -59,13 +68,13 @@ def test_start_of_the_shared_set() -> None:
     torch.testing.assert_close(gaussians.quats.detach(), torch.tensor([[1.0, 0, 0, 0]]).expand(40, 4))
 
 
-def test_scales_are_neighbour_distances_times_init_scale() -> None:
-    """Round Gaussians as large as the RMS distance to three neighbours, scaled by init_scale."""
+def test_scales_are_neighbour_distances() -> None:
+    """Round Gaussians as large as the RMS distance to three neighbours."""
     points, _ = cloud()
     squared = np.square(points[:, None] - points[None]).sum(-1)
     squared.sort(axis=1)
-    expected = 1.5 * np.sqrt(squared[:, 1:4].mean(1))
-    scales = start(ModelConfig(init_scale=1.5)).scales.detach().numpy()
+    expected = np.sqrt(squared[:, 1:4].mean(1))
+    scales = start(ModelConfig()).scales.detach().numpy()
     np.testing.assert_allclose(scales, np.repeat(expected[:, None], 3, 1), rtol=1e-4)
 
 
@@ -152,7 +161,12 @@ def test_too_few_points_is_a_users_error() -> None:
     points, colors = cloud(3)
     with pytest.raises(UserError, match=r"at least 4 sparse points, but the capture has 3\. .*colmap mapper"):
         Gaussians.from_points(
-            points, colors, config=ModelConfig(), sh_degree=0, generator=torch.Generator(), spectra=[RGB]
+            points,
+            colors,
+            config=ModelConfig(),
+            sh_degree=0,
+            generator=torch.Generator(),
+            formations=formations_of(ModelConfig(), RGB),
         )
 
 
@@ -162,7 +176,12 @@ def test_points_that_are_not_finite_are_a_users_error() -> None:
     points[[3, 5], 1] = np.nan, np.inf
     with pytest.raises(UserError, match="2 of the capture's 40 sparse points"):
         Gaussians.from_points(
-            points, colors, config=ModelConfig(), sh_degree=0, generator=torch.Generator(), spectra=[RGB]
+            points,
+            colors,
+            config=ModelConfig(),
+            sh_degree=0,
+            generator=torch.Generator(),
+            formations=formations_of(ModelConfig(), RGB),
         )
 
 

@@ -7,6 +7,7 @@ import torch
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import initial_gaussians
 from thermosplat.spectra import model_spectra
@@ -15,7 +16,8 @@ from toy_scene import toy_capture, toy_config
 
 def sets_of(config: TrainConfig, capture: Capture) -> dict[str, Gaussians]:
     color_spaces = {name: capture.scales[name].kind for name in config.modelled}
-    return initial_gaussians(config, capture, model_spectra(config.modelled, color_spaces))
+    formations = Formations(config.model, config.decoder, model_spectra(config.modelled, color_spaces))
+    return initial_gaussians(config, capture, formations)
 
 
 @pytest.mark.parametrize(

@@ -10,18 +10,18 @@ from thermosplat.scene.lens_slopes import bent, straightened
 from thermosplat.scene.view_directions import view_directions
 
 LENSES = {
-    "barrel": ([-0.28, 0.09, -0.01, 0.0, 0.0, 0.0, 0.0, 0.0], False),
-    "all coefficients": ([0.3, 0.1, 0.005, 0.5, 0.2, 0.02, 0.01, -0.008], False),
-    "fisheye": ([-0.03, 0.004, -0.002, 0.0003, 0.0, 0.0, 0.0, 0.0], True),
+    "barrel": ([-0.28, 0.09, -0.01, 0.0, 0.0, 0.0, 0.0, 0.0], "pinhole"),
+    "all coefficients": ([0.3, 0.1, 0.005, 0.5, 0.2, 0.02, 0.01, -0.008], "pinhole"),
+    "fisheye": ([-0.03, 0.004, -0.002, 0.0003, 0.0, 0.0, 0.0, 0.0], "fisheye"),
 }
 
 
 def view_through(name: str) -> ViewTensors:
     """A camera of 90 degrees and more behind a lens."""
-    numbers, fisheye = LENSES[name]
+    numbers, model = LENSES[name]
     K = torch.tensor([[30.0, 0.0, 32.0], [0.0, 31.0, 24.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
     lens = torch.tensor(numbers, dtype=torch.float64)
-    return ViewTensors(torch.eye(4, dtype=torch.float64), K, 64, 48, lens=lens, fisheye=fisheye)
+    return ViewTensors(torch.eye(4, dtype=torch.float64), K, 64, 48, lens=lens, lens_model=model)
 
 
 @pytest.mark.parametrize("name", LENSES)

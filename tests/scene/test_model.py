@@ -58,11 +58,11 @@ def test_a_camera_that_blurs(branches: str) -> None:
     torch.testing.assert_close(rendered.images["rgb"], sharp.images["rgb"])
     blurred = blurred_by_gaussian(sharp.features["thermal"], torch.tensor(0.05 * 24), radius=5)
     torch.testing.assert_close(rendered.features["thermal"], blurred)
-    decoded = model.decoders.image("thermal", blurred)
+    decoded = model.formations.decoder.image("thermal", blurred)
     torch.testing.assert_close(rendered.images["thermal"], rendered.alphas["thermal"] * decoded)
-    assert model.point_spreads == pytest.approx({"thermal": 0.05})
+    assert model.formations.found("point_spread") == pytest.approx({"thermal": 0.05})
     largest = largest_gradients(model, rendered.images["thermal"].square().sum())
-    assert largest["decoders.point_spreads.log_widths.thermal"] > 0.0
+    assert largest["formations.by_spectrum.thermal.point_spread.log_width"] > 0.0
     both = toy_model(toy_config(decoder=decoder, spectra={"rgb": {"point_spread": 0.05}}), capture)
     difference = render(both, frame).images["rgb"] - sharp.images["rgb"]
     assert difference.abs().max() > 0.01
@@ -126,7 +126,7 @@ def test_hybrid_sum_starts_at_the_sh_colour() -> None:
     model = SceneModel.from_capture(config, capture, "cpu")
     frame = toy_frame(capture)
     hybrid = render(model, frame).images["rgb"]
-    model.decoders.heads["rgb"].bias.data.fill_(-100.0)
+    model.formations.decoder.heads["rgb"].bias.data.fill_(-100.0)
     explicit = render(model, frame).images["rgb"]
     difference = (hybrid - explicit).detach()
     alpha = render(model, frame).alphas["rgb"]
@@ -141,7 +141,7 @@ def test_without_hybrid_rgb_is_the_decoded_part() -> None:
     frame = toy_frame(capture)
     model = toy_model(toy_config(decoder={"hybrid": False}), capture)
     rendered = render(model, frame)
-    decoded = model.decoders.image("rgb", rendered.features["rgb"])
+    decoded = model.formations.decoder.image("rgb", rendered.features["rgb"])
     torch.testing.assert_close(rendered.images["rgb"], rendered.alphas["rgb"] * decoded)
     largest = largest_gradients(model, rendered.images["rgb"].square().sum())
     assert largest["gaussian_sets.shared.sh0"] == 0.0
@@ -155,8 +155,9 @@ def test_hybrid_rgb_is_the_sum() -> None:
     with torch.no_grad():
         model.gaussians("shared").sh0 += 2.0
     rendered = render(model, frame)
-    explicit = rendered.images["rgb"] - rendered.alphas["rgb"] * model.decoders.image("rgb", rendered.features["rgb"])
-    model.decoders.heads["rgb"].bias.data.fill_(-100.0)
+    decoder = model.formations.decoder
+    explicit = rendered.images["rgb"] - rendered.alphas["rgb"] * decoder.image("rgb", rendered.features["rgb"])
+    decoder.heads["rgb"].bias.data.fill_(-100.0)
     torch.testing.assert_close(render(model, frame).images["rgb"], explicit, atol=1e-5, rtol=1e-5)
     assert rendered.images["rgb"].max() > 1.0
 
@@ -170,7 +171,7 @@ def test_padding_widens_the_range_of_images_that_are_decoded_alone(hybrid: bool,
     plain, padded = (toy_model(toy_config(decoder=decoder | {"padding": by}), capture) for by in (0.0, 0.25))
     before, after = (render(model, toy_frame(capture)) for model in (plain, padded))
     for name in ("rgb", "thermal"):
-        decoded = before.alphas[name] * plain.decoders.image(name, before.features[name])
+        decoded = before.alphas[name] * plain.formations.decoder.image(name, before.features[name])
         wider = 0.5 * decoded - 0.25 * before.alphas[name]
         expected = before.images[name] + (0.0 if hybrid and name == "rgb" else wider)
         torch.testing.assert_close(after.images[name], expected, msg=name)
@@ -192,7 +193,7 @@ def test_background_shows_where_no_gaussian_is(hybrid: bool, aligned: bool) -> N
     model = SceneModel.from_capture(everywhere, capture, "cpu")
     with torch.no_grad():
         model.gaussians("shared").means += 1e4
-    answer = model.decoders.image("thermal", torch.zeros(8))
+    answer = model.formations.decoder.image("thermal", torch.zeros(8))
     thermal = render(model, frame).images["thermal"]
     torch.testing.assert_close(thermal, answer.expand_as(thermal))
 
@@ -202,7 +203,7 @@ def test_every_parameter_is_trained_by_the_full_model() -> None:
     capture = toy_capture()
     frame, model = toy_frame(capture), toy_model(toy_config(), capture)
     torch.nn.init.normal_(
-        model.decoders.modulations["rgb"].weight, std=0.1
+        model.formations.decoder.modulations["rgb"].weight, std=0.1
     )  # else the prior's gradient comes by thermal alone
     rendered = render(model, frame)
     largest = largest_gradients(
@@ -220,10 +221,10 @@ def test_thermal_image_does_not_train_visible_colours() -> None:
     assert untouched == {
         "gaussian_sets.shared.sh0",
         "gaussian_sets.shared.shN",
-        "decoders.modulations.rgb.weight",
-        "decoders.modulations.rgb.bias",
-        "decoders.heads.rgb.weight",
-        "decoders.heads.rgb.bias",
+        "formations.decoder.modulations.rgb.weight",
+        "formations.decoder.modulations.rgb.bias",
+        "formations.decoder.heads.rgb.weight",
+        "formations.decoder.heads.rgb.bias",
     }
 
 
@@ -315,7 +316,7 @@ def test_decoders_that_see_the_viewing_direction(aligned: bool) -> None:
     assert rendered.images["rgb"].shape == (18, 24, 3)
     assert rendered.images["thermal"].shape == (frame.views["thermal"].height, frame.views["thermal"].width, 3)
     with torch.no_grad():
-        model.decoders.networks["rgb"][0].weight[:, 8:] = 0.0
+        model.formations.decoder.networks["rgb"][0].weight[:, 8:] = 0.0
     assert not torch.allclose(render(model, frame).images["rgb"], rendered.images["rgb"], atol=1e-4)
 
 
@@ -325,7 +326,7 @@ def test_decoders_that_see_waves_of_the_features() -> None:
     frame, model = toy_frame(capture), toy_model(toy_config(decoder={"fourier_frequency": 3.0}), capture)
     rendered = render(model, frame).images
     with torch.no_grad():
-        model.decoders.shared_encoder[0].weight[:, 8:] = 0.0
+        model.formations.decoder.shared_encoder[0].weight[:, 8:] = 0.0
     assert not any(
         torch.allclose(image, rendered[name], atol=1e-4) for name, image in render(model, frame).images.items()
     )
@@ -350,7 +351,7 @@ def test_a_third_spectrum(nir: dict[str, Any], calls: list[str], monkeypatch: py
     apart = render(model, frame, shared_cameras=[[name] for name in frame.views])
     for name, image in rendered.images.items():
         torch.testing.assert_close(image, apart.images[name], atol=2e-6, rtol=1e-5)
-    torch.nn.init.normal_(model.decoders.modulations["rgb"].weight, std=0.1)
+    torch.nn.init.normal_(model.formations.decoder.modulations["rgb"].weight, std=0.1)
     rendered = render(model, frame)
     largest = largest_gradients(model, sum(image.square().sum() for image in rendered.images.values()))
     assert [name for name, value in largest.items() if value == 0.0] == []
@@ -370,8 +371,8 @@ def test_bands_beside_photographs_without_thermal() -> None:
     capture = toy_capture(thermal=False, others=("red_edge", "nir"))
     config = toy_config(spectra={"red_edge": {}, "nir": {"opacity": "offset"}}, without=("thermal",))
     model = toy_model(config, capture)
-    assert model.decoders.modulated_by["rgb"] == "red_edge"
-    assert set(model.decoders.priors) == {"red_edge", "nir"}
+    assert model.formations.decoder.modulated_by["rgb"] == "red_edge"
+    assert set(model.formations.decoder.priors) == {"red_edge", "nir"}
     rendered = render(model, toy_frame(capture))
     assert list(model.spectra) == ["rgb", "red_edge", "nir"]
     assert rendered.images.keys() == model.spectra.keys()
@@ -382,7 +383,7 @@ def test_scalars_alone() -> None:
     """Without photographs nothing has SH colours: all images are decoded."""
     capture = toy_capture(rgb=False, others=("nir",))
     model = toy_model(toy_config(spectra={"nir": {"opacity": "offset"}}, without=("rgb",)), capture)
-    assert model.photograph is None
+    assert not any(model.formations[name].takes_colors for name in model.spectra)
     rendered = render(model, toy_frame(capture))
     assert all(image.min() >= 0 and image.max() <= 1 for image in rendered.images.values())
     assert [info["spectra"] for info in rendered.infos["shared"]] == [("thermal",), ("nir",)]

@@ -15,7 +15,7 @@ def test_separate_sets_are_independent() -> None:
     model = toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture)
     rendered = render(model, toy_frame(capture))
     assert set(model.gaussian_sets) == set(rendered.infos) == {"rgb", "thermal"}
-    assert model.decoders is None
+    assert model.formations.decoder is None
     assert rendered.features == {}
     assert rendered.images["thermal"].shape == (14, 16, 3)
     assert model.num_gaussians == 120

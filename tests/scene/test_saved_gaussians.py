@@ -63,23 +63,23 @@ def test_decoders_of_another_size_are_refused_before_memory_is_taken() -> None:
     """A configuration that asks for a network of terabytes, which the file does not hold."""
     huge = toy_config(decoder={"hidden_dim": 2**20})
     saved = MODEL.checkpoint_state()
-    with pytest.raises(UserError, match=r"decoders\.shared_encoder\.0\.weight has the shape"):
+    with pytest.raises(UserError, match=r"formations\.decoder\.shared_encoder\.0\.weight has the shape"):
         SceneModel.from_checkpoint(Checkpoint(3, huge, 1, saved, {}, SavedTraining()), "cpu")
     nothing = SavedModel(saved.gaussian_sets, None, saved.color_spaces)
-    with pytest.raises(UserError, match=r"decoders\.shared_encoder\.0\.weight has the shape None"):
+    with pytest.raises(UserError, match=r"formations\.decoder\.shared_encoder\.0\.weight has the shape None"):
         SceneModel.from_checkpoint(_checkpoint(nothing), "cpu")
 
 
 def test_a_blur_may_be_missing_where_noise_keeps_it_from_being_learnt() -> None:
     """Elsewhere the file is damaged."""
     saved = MODEL.checkpoint_state()  # of a model without a blur
-    for point_spread_noise in (0.0, 0.01):
-        thermal = {"point_spread": 0.05, "point_spread_noise": point_spread_noise}
+    for by_noise in (False, True):
+        thermal = {"point_spread": 0.05, "by_noise": by_noise}
         checkpoint = Checkpoint(3, toy_config(spectra={"thermal": thermal}), 1, saved, {}, SavedTraining())
-        if point_spread_noise > 0:
-            assert SceneModel.from_checkpoint(checkpoint, "cpu").point_spreads == {}
+        if by_noise:
+            assert SceneModel.from_checkpoint(checkpoint, "cpu").formations.found("point_spread") == {}
         else:
-            with pytest.raises(UserError, match=r"point_spreads\.log_widths\.thermal has the shape None"):
+            with pytest.raises(UserError, match=r"by_spectrum\.thermal\.point_spread\.log_width has the shape None"):
                 SceneModel.from_checkpoint(checkpoint, "cpu")
 
 

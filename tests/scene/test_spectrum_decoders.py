@@ -8,13 +8,14 @@ from torch import nn
 
 from thermosplat.config import DecoderConfig
 from thermosplat.scene.decoders import Decoders
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
+from thermosplat.scene.formations.kinds import make_decoder
+from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.spectra import Spectrum
 
 RGB = Spectrum("rgb", 3, "photograph", "shared", (0, 3), "thermal")
 THERMAL = Spectrum("thermal", 3, "color", "offset", (3, 4), None)
 SCALAR = replace(THERMAL, channels=1, color_space="scalar")
-CONFIG = DecoderConfig(hidden_dim=8, hidden_layers=2, branches="separate", modulation=False)
+CONFIG = DecoderConfig(hidden_dim=8, branches="separate", modulation=False)
 
 
 def test_images_and_their_ranges() -> None:
@@ -53,17 +54,14 @@ def test_hybrid_sum_starts_at_the_sh_colour() -> None:
 
 
 def test_without_hybrid_sum_networks_start_alike() -> None:
-    """A decoded image alone starts where PyTorch's layers do, whatever the bias of the sum's part."""
-    networks = []
-    for bias in (-4.0, 0.0):
-        torch.manual_seed(0)
-        networks.append(SpectrumDecoders(replace(CONFIG, hybrid=False, hybrid_bias=bias), 6, [RGB, THERMAL]))
+    """A decoded image alone starts where PyTorch's layers do."""
+    torch.manual_seed(0)
+    network = SpectrumDecoders(replace(CONFIG, hybrid=False), 6, [RGB, THERMAL]).networks["rgb"]
     torch.manual_seed(0)
     plain = [nn.Linear(6, 8), nn.Linear(8, 8), nn.Linear(8, 3)]
-    for network in networks:
-        layers = [layer for layer in network.networks["rgb"] if isinstance(layer, nn.Linear)]
-        assert all(torch.equal(ours.weight, theirs.weight) for ours, theirs in zip(layers, plain, strict=True))
-        assert all(torch.equal(ours.bias, theirs.bias) for ours, theirs in zip(layers, plain, strict=True))
+    layers = [layer for layer in network if isinstance(layer, nn.Linear)]
+    assert all(torch.equal(ours.weight, theirs.weight) for ours, theirs in zip(layers, plain, strict=True))
+    assert all(torch.equal(ours.bias, theirs.bias) for ours, theirs in zip(layers, plain, strict=True))
 
 
 def test_a_spectrum_that_is_not_decoded() -> None:
@@ -74,9 +72,9 @@ def test_a_spectrum_that_is_not_decoded() -> None:
 
 def test_configuration_decides() -> None:
     """Joined or separate branches; a viewing direction adds three inputs, a frequency twice the features."""
-    assert isinstance(make_decoders(CONFIG, 6, [RGB, THERMAL]), SpectrumDecoders)
-    joined = make_decoders(DecoderConfig(hidden_dim=8, view_direction=True), 6, [RGB, THERMAL])
+    assert isinstance(make_decoder(CONFIG, 6, [RGB, THERMAL]), SpectrumDecoders)
+    joined = make_decoder(DecoderConfig(hidden_dim=8, view_direction=True), 6, [RGB, THERMAL])
     assert isinstance(joined, Decoders)
     assert joined.image("rgb", torch.zeros(2, 2, 9)).shape == (2, 2, 3)
-    both = make_decoders(DecoderConfig(hidden_dim=8, view_direction=True, fourier_frequency=3.0), 6, [RGB, THERMAL])
+    both = make_decoder(DecoderConfig(hidden_dim=8, view_direction=True, fourier_frequency=3.0), 6, [RGB, THERMAL])
     assert both.image("rgb", torch.zeros(2, 2, 21)).shape == (2, 2, 3)

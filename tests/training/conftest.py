@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from thermosplat.training.budget import image_change
+from toy_run import toy_sizes
 
 
 @pytest.fixture(autouse=True, scope="package")
@@ -15,6 +16,13 @@ def _one_torch_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+@pytest.fixture(autouse=True, scope="package")
+def _toy_sizes() -> Iterator[None]:
+    """Of the Gaussians of toy captures, also in runs that a module shares."""
+    with toy_sizes():
+        yield
 
 
 @pytest.fixture(autouse=True)

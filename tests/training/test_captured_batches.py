@@ -29,7 +29,7 @@ def _taken(trainer: Trainer) -> Trainer:
 
 
 def _config(graph: bool, **changes: Any) -> Any:
-    changes = {"batch_size": 2, "deterministic": True, "densification": DensificationConfig(enabled=False), **changes}
+    changes = {"batch_size": 2, "deterministic": True, "densification": DensificationConfig(stop_step=0), **changes}
     frames = STEPS * changes["batch_size"]  # the schedule counts frames
     return dataclasses.replace(toy_run_config(frames, **changes), device="cuda", graph=graph)
 

@@ -12,6 +12,7 @@ from rolling_captures import shaken
 from thermosplat.config import AutoBudgetConfig, DensificationConfig, ResolutionConfig
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.training.recorded_steps import RecordedSteps
+from thermosplat.training.session.run_metrics import feature_channels
 from thermosplat.training.trainer import Trainer
 from toy_run import enlarged, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -81,7 +82,7 @@ def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes:
 @pytest.mark.parametrize("kind", KINDS)
 def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
     """After forty steps without densification the states agree to rounding, and graphs did most of them."""
-    still = DensificationConfig(enabled=False)
+    still = DensificationConfig(stop_step=0)
     plain = _run(tmp_path / "plain", kind, 40, graph=False, densification=still, deterministic=True)
     captured = _run(tmp_path / "captured", kind, 40, graph=True, densification=still, deterministic=True)
     assert plain.steps.recordings is None
@@ -142,7 +143,7 @@ def test_images_that_grow_are_captured_anew(tmp_path: Path) -> None:
 
     def run(name: str, graph: bool) -> tuple[Trainer, list[tuple[int, int]]]:
         sizes = ResolutionConfig(factors=(1.5, 1.2), until=(0.3, 0.6))
-        config = toy_run_config(max_steps=60, resolution=sizes, densification=DensificationConfig(enabled=False))
+        config = toy_run_config(max_steps=60, resolution=sizes, densification=DensificationConfig(stop_step=0))
         config = dataclasses.replace(config, device="cuda", graph=graph)
         trainer, seen = toy_trainer(tmp_path / name, config, enlarged(many_frames(toy_capture()), 3)), []
         while trainer.step < 60:
@@ -208,21 +209,21 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
 def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     """Steps with other kernels than before are captured once these are loaded, and go on as without graphs."""
     budget = AutoBudgetConfig(prune_at=(0.5,))
-    still = DensificationConfig(enabled=False)
+    still = DensificationConfig(stop_step=0)
 
     changes = {"densification": still, "budget": "auto", "auto_budget": budget}
     plain = _run(tmp_path / "plain", "shared", 40, graph=False, **changes)
     captured = _run(tmp_path / "captured", "shared", 40, graph=True, **changes)
     assert recordings(captured)._graphs
     assert captured.guard.first_bad() is None
-    assert captured.model.feature_channels == plain.model.feature_channels == 1
+    assert feature_channels(captured.model) == feature_channels(plain.model) == 1
     ours, theirs = captured.model.gaussians("shared"), plain.model.gaussians("shared")
     torch.testing.assert_close(ours.means, theirs.means, rtol=0.05, atol=5e-3)
 
 
 def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     """With too little room the parameters stay; after a look there is room, and training goes on."""
-    still = DensificationConfig(enabled=False)
+    still = DensificationConfig(stop_step=0)
     trainer = _run(tmp_path, "shared", 20, densification=still, log_every=1000)
     captured = trainer.steps
     captured.forget()

@@ -50,8 +50,8 @@ def test_a_packed_frame_keeps_its_lenses() -> None:
     copy = packed_elsewhere(frame)
     assert copy.memory is not None
     copy.memory.zero_()
-    assert frame.views["rgb"].fisheye
-    assert not frame.views["thermal"].fisheye
+    assert frame.views["rgb"].lens_model == "fisheye"
+    assert frame.views["thermal"].lens_model == "pinhole"
     torch.testing.assert_close(frame.views["thermal"].lens, torch.tensor([*BARREL.radial, *BARREL.tangential]))
     assert not copy.views["thermal"].lens.any()
 
@@ -81,7 +81,7 @@ def test_a_wrong_lens_of_the_photographs_comes_back(tmp_path: Path) -> None:
     disturbed = through(capture, {"rgb": slightly_off(FISHEYE), "thermal": BARREL})
     config = toy_run_config(100, lens="direct", refine=("distortion",), refine_from=0, refine_first=0)
     trainer = trained_on_the_true_scene(
-        tmp_path, config, disturbed, scene, cameras_lr=0.1 / capture.train[0].views["rgb"].camera.width
+        tmp_path, config, disturbed, scene, cameras_rate=0.1 / capture.train[0].views["rgb"].camera.width
     )
     assert_corrected(trainer, "rgb", FISHEYE)
 

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from thermosplat.config import DecoderConfig, TrainConfig
+from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
 from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.spectra import Spectrum
 from thermosplat.training import fast_decoders
 from thermosplat.training.fast_decoders import FastDecoders, can_compile
@@ -23,20 +24,20 @@ def named(features: torch.Tensor) -> dict[str, torch.Tensor]:
 
 def test_precision_and_decoding_are_put_back() -> None:
     """Inside: compiled decoding and TF32; afterwards, also after an error, everything is as before."""
-    decoders = Decoders(DecoderConfig(hidden_dim=4), 5, SPECTRA)
-    before = torch.get_float32_matmul_precision()
-    fast = FastDecoders(decoders, compiled=True, precision="tf32")
+    formations = Formations(ModelConfig(feature_dim=5), DecoderConfig(hidden_dim=4), SPECTRA)
+    before, plain = torch.get_float32_matmul_precision(), formations.decode
+    fast = FastDecoders(formations.decoder, compiled=True, precision="tf32")
 
     def fail() -> None:
-        with fast.active():
+        with fast.active(formations):
             assert torch.get_float32_matmul_precision() == "high"
-            assert "decode" in vars(decoders)
+            assert formations.decode is fast.decode
             raise RuntimeError("stop")
 
     with pytest.raises(RuntimeError, match="stop"):
         fail()
     assert torch.get_float32_matmul_precision() == before
-    assert "decode" not in vars(decoders)
+    assert formations.decode is plain
 
 
 def test_images_and_gradients() -> None:
@@ -44,9 +45,10 @@ def test_images_and_gradients() -> None:
     decoders = Decoders(DecoderConfig(hidden_dim=16), 8, SPECTRA)
     features = torch.rand(3, 7, 9, 8, generator=torch.Generator().manual_seed(0))
     leaf = features.clone().requires_grad_()
-    with FastDecoders(decoders, compiled=False, precision="float32").active():
-        images = decoders.decode(named(leaf))
-        alone = decoders.decode({"rgb": leaf[0]})
+    fast = FastDecoders(decoders, compiled=False, precision="float32")
+    with fast.precise():
+        images = fast.decode(named(leaf))
+        alone = fast.decode({"rgb": leaf[0]})
     plain = decoders.decode(named(features))
     assert list(images) == ["rgb", "thermal", "nir"]
     for name, image in (*images.items(), *alone.items()):
@@ -55,7 +57,10 @@ def test_images_and_gradients() -> None:
     sum(image.sum() for image in images.values()).backward()
     assert leaf.grad.dtype == torch.float32
     assert all(parameter.grad.abs().sum() > 0 for parameter in decoders.parameters())
-    assert fast_decoders.fast_decoders(decoders, TrainConfig(decoder_precision="tf32"), torch.device("cpu")) is None
+    formations = Formations(ModelConfig(feature_dim=8), DecoderConfig(hidden_dim=4), SPECTRA)
+    on_cpu = fast_decoders.fast_decoding(formations, TrainConfig(decoder_precision="tf32"), torch.device("cpu"))
+    with on_cpu():
+        assert formations.decode == formations.decoder.decode
 
 
 def test_compiling_needs_triton_and_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,8 +85,9 @@ def test_compiled_decoders_give_the_same_images() -> None:
     results = []
     for compiled in (False, True):
         leaf = features.clone().requires_grad_()
-        with FastDecoders(decoders, compiled=compiled, precision="float32").active():
-            images = decoders.decode(named(leaf))
+        fast = FastDecoders(decoders, compiled=compiled, precision="float32")
+        with fast.precise():
+            images = fast.decode(named(leaf))
         sum(image.square().sum() for image in images.values()).backward()
         results.append([*(image.detach() for image in images.values()), leaf.grad])
     for plain, fast in zip(*results, strict=True):

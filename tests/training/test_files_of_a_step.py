@@ -15,7 +15,7 @@ MOST_OF_TRAINING = 14
 
 def test_a_training_step_enters_few_files(tmp_path: Path) -> None:
     """Once all frames were seen; the call of the renderer is one file, whatever that enters."""
-    config = toy_run_config(40, densification=DensificationConfig(enabled=False), log_every=100)
+    config = toy_run_config(40, densification=DensificationConfig(stop_step=0), log_every=100)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
     for _ in range(9):
         trainer._train_step()

@@ -69,7 +69,7 @@ def test_images_and_gradients_are_the_decoders(decoders: Decoders, names: tuple[
 
 
 def test_decoders_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two modulations, none, or a third layer: the kernels know none of these, whatever the device has room for."""
+    """Two modulations, or none: the kernels know neither, whatever the device has room for."""
     monkeypatch.setattr(fused_decoders, "teams_of_shape", lambda device, hidden, features: (hidden, features))
     twice = (RGB, Spectrum("thermal", 3, "color", "offset", (3, 4), "nir"), NIR)
     three = (RGB, THERMAL, NIR)
@@ -77,6 +77,5 @@ def test_decoders_without_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     for config, spectra in (
         (DecoderConfig(), twice),
         (DecoderConfig(modulation=False), three),
-        (DecoderConfig(hidden_layers=3), three),
     ):
         assert teams(Decoders(config, 8, spectra)) == ()

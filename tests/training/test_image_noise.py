@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
@@ -16,18 +17,16 @@ from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.image_noise import (
     ImageNoise,
     image_noise,
-    loss_for_noise,
-    noisy_spectra,
-    smoothness_for_noise,
     training_noise,
 )
+from thermosplat.training.sensor_facts import SensorFacts, by_noise
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
 from toy_run import many_frames, step_gradients, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
 
 HEIGHT, WIDTH = 240, 320
-MEASURED = {"smoothness": 0.3, "smoothness_noise": 0.0125, "smoothness_least": 0.05}
+MEASURED = {"smoothness": 0.3, "by_noise": True}
 
 
 def scene() -> torch.Tensor:
@@ -89,17 +88,18 @@ def test_a_clean_image_has_none() -> None:
 
 def test_smoothness_rises_with_noise_between_bounds() -> None:
     """In proportion, never above the full weight, and never below the least one."""
-    measured = SpectrumConfig(**MEASURED)
-    weights = [smoothness_for_noise(measured, noise) for noise in (0.0, 0.001, 0.00625, 0.0125, 0.1)]
+    measured = SpectrumConfig(smoothness=0.3)
+    weights = [by_noise(measured, noise)[0].smoothness for noise in (0.0, 0.001, 0.00625, 0.0125, 0.1)]
     assert weights == pytest.approx([0.05, 0.05, 0.15, 0.3, 0.3])
-    assert smoothness_for_noise(dataclasses.replace(measured, smoothness=0.01), 0.1) == 0.01
+    assert by_noise(dataclasses.replace(measured, smoothness=0.01), 0.1)[0].smoothness == 0.01
 
 
 def test_images_of_much_noise_count_once() -> None:
     """In proportion, and never less than once; a weight below 1 is nobody's to raise."""
-    spectrum = SpectrumConfig(loss=2.0, loss_noise=0.0125)
-    assert [loss_for_noise(spectrum, noise) for noise in (0.0, 0.0025, 0.0125, 0.1)] == pytest.approx([2, 1.8, 1, 1])
-    assert loss_for_noise(dataclasses.replace(spectrum, loss=0.5), 0.01) == 0.5
+    spectrum = SpectrumConfig(loss=2.0)
+    weights = [by_noise(spectrum, noise)[0].loss for noise in (0.0, 0.0025, 0.0125, 0.1)]
+    assert weights == pytest.approx([2, 1.8, 1, 1])
+    assert by_noise(dataclasses.replace(spectrum, loss=0.5), 0.01) == (dataclasses.replace(spectrum, loss=0.5), [])
 
 
 def noisy(capture: Capture, **sigmas: float) -> Capture:
@@ -123,7 +123,7 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     (note,) = trainer.recipe.notes
     assert note.startswith("Noise of the thermal images 0.03")
     assert note.endswith("smoothness weight 0.300.")
-    assert trainer.config == config
+    assert trainer.config == in_steps(config)
     rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
     assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).recipe.notes == ()
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
@@ -133,7 +133,7 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
 
 def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
     """Its loss counts as often as its noise allows, and the user is told; the terms of the step say so."""
-    config = toy_run_config(spectra={"thermal": {"loss": 2.0, "loss_noise": 0.0125, "smoothness": 0.0}})
+    config = toy_run_config(spectra={"thermal": {"loss": 2.0, "by_noise": True, "smoothness": 0.0}})
     capture = noisy(many_frames(toy_capture()), thermal=1)
     trainer = toy_trainer(tmp_path / "a", config, capture)
     noise = training_noise(trainer.frames, "thermal")
@@ -154,31 +154,29 @@ def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
 
 def test_both_weights_are_said_in_one_line(tmp_path: Path) -> None:
     """Noise is measured once for both."""
-    config = toy_run_config(spectra={"thermal": {**MEASURED, "loss": 2.0, "loss_noise": 0.0125}})
+    config = toy_run_config(spectra={"thermal": {**MEASURED, "loss": 2.0}})
     (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).recipe.notes
     assert note.endswith("loss weight 1.000, smoothness weight 0.300.")
 
 
 def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
     """Where images are noisy the model has no point spread, and says so; its checkpoint is read back without one."""
-    config = toy_run_config(
-        spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "point_spread_noise": 0.0125}}
-    )
+    config = toy_run_config(spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "by_noise": True}})
     runs = {sigma: noisy(many_frames(toy_capture()), thermal=sigma) for sigma in (1, 8)}
     clean = toy_trainer(tmp_path / "clean", config, runs[1])
-    assert clean.model.point_spreads == pytest.approx({"thermal": 0.05})
+    assert clean.model.formations.found("point_spread") == pytest.approx({"thermal": 0.05})
     assert clean.recipe.notes == ()
 
     trainer = toy_trainer(tmp_path / "noisy", config, runs[8])
-    assert trainer.model.point_spreads == {}
+    assert trainer.model.formations.found("point_spread") == {}
     (note,) = trainer.recipe.notes
     assert note.endswith("): no point spread.")
     trainer.train()
     resumed = Trainer.resume(dataclasses.replace(config, max_steps=14), runs[8], trainer.run)
     resumed.train()
-    assert resumed.model.point_spreads == {}
+    assert resumed.model.formations.found("point_spread") == {}
     loaded = load_run(trainer.run.path, device="cpu")
-    assert (loaded.step, loaded.model.point_spreads) == (14, {})
+    assert (loaded.step, loaded.model.formations.found("point_spread")) == (14, {})
     assert loaded.config.spectra["thermal"].point_spread == 0.05  # as it was asked for
 
 
@@ -201,7 +199,7 @@ def test_which_images_count_as_noisy(budget: Literal["auto", "fixed"], counts: t
         return {"rgb": ImageNoise(0.0, 0.0, 0.033), "thermal": ImageNoise(1.0, 1.0, 0.0329)}.get(name)
 
     config = toy_run_config(spectra={"nir": {}}, budget=budget)
-    assert noisy_spectra(config, noise_of) == counts
+    assert SensorFacts(config, noise_of).noisy == counts
 
 
 def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
@@ -226,23 +224,22 @@ def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("then", "now"), [(1, 8), (8, 1)])
 def test_noise_of_other_images_changes_no_model(tmp_path: Path, then: int, now: int) -> None:
     """A run that goes on with smaller, less noisy images keeps its blur, or has none, in the next scene, too."""
-    config = toy_run_config(
-        spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "point_spread_noise": 0.0125}}, scenes=2
-    )
+    config = toy_run_config(spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "by_noise": True}}, scenes=2)
     config = dataclasses.replace(config, optimizer=dataclasses.replace(config.optimizer, cooldown_from=0.5))
     trainer = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=then))
     trainer._train_step()
     trainer.save()
     resumed = Trainer.resume(config, noisy(many_frames(toy_capture()), thermal=now), trainer.run)
     resumed.train()
-    assert list(resumed.model.point_spreads) == list(trainer.model.point_spreads) == ([] if then == 8 else ["thermal"])
+    blurred = [list(one.model.formations.found("point_spread")) for one in (resumed, trainer)]
+    assert blurred == 2 * [[] if then == 8 else ["thermal"]]
     assert load_run(trainer.run.path, device="cpu").step == config.max_steps
 
 
 def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:
     """Each has its own noise, its own setting and its own weight; one without the setting keeps what it has."""
     capture = noisy(many_frames(toy_capture(others=("nir", "red"))), rgb=2, thermal=8, nir=1)
-    measured = {"rgb": MEASURED, "thermal": {}, "nir": MEASURED, "red": {"smoothness_noise": 0.0125}}
+    measured = {"rgb": MEASURED, "thermal": {}, "nir": MEASURED, "red": {"by_noise": True}}
     trainer = toy_trainer(tmp_path, toy_run_config(spectra=measured), capture)
     weights = {name: spectrum.smoothness for name, spectrum in trainer.device_step.config.spectra.items()}
     found = {name: training_noise(trainer.frames, name) for name in ("rgb", "nir")}

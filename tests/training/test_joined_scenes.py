@@ -13,6 +13,7 @@ from torch.nn.functional import logsigmoid
 from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.config.files import load_config
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.errors import UserError
@@ -22,7 +23,8 @@ from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.stop_signals import stopped_by_signals
 from thermosplat.torch_bridge.host_rows import on_cpu
-from thermosplat.training import image_noise
+from thermosplat.training import sensor_facts
+from thermosplat.training.budget import image_change
 from thermosplat.training.joined_scenes import joined, seed_of_scene, steps_of_scene, thinned_logits
 from thermosplat.training.new_scenes import NewScenes
 from thermosplat.training.session.interruption import TrainingInterrupted
@@ -129,17 +131,18 @@ def test_one_run_trains_all_scenes(tmp_path: Path, capture: Capture) -> None:
     again = trainer.model.gaussians("shared")
     assert len(again) == len(capture.points)
     assert not torch.equal(again.features, start)
-    decoders = {key: value.clone() for key, value in trainer.model.decoders.state_dict().items()}
+    decoders = {key: value.clone() for key, value in trainer.model.formations.decoder.state_dict().items()}
     for _ in range(16):
         trainer._train_step()
     assert trainer.step == 16
     assert not trainer.state.kept_scenes
     second = len(trainer.model.gaussians("shared")) - len(first["shared"]["means"])
     assert second > len(capture.points)  # both have grown
-    for key, value in trainer.model.decoders.state_dict().items():
+    for key, value in trainer.model.formations.decoder.state_dict().items():
         assert torch.equal(value, decoders[key])
     trainer._train_step()
-    assert any(not torch.equal(value, decoders[key]) for key, value in trainer.model.decoders.state_dict().items())
+    trained = trainer.model.formations.decoder.state_dict()
+    assert any(not torch.equal(value, decoders[key]) for key, value in trained.items())
 
 
 def test_what_a_user_sees(tmp_path: Path, capture: Capture, capsys: pytest.CaptureFixture[str]) -> None:
@@ -222,9 +225,10 @@ def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capt
 def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each scene withholds views while it grows, and loses Gaussians; so does the one that all become. (Views that are
     noisy would stay withheld for longer.)"""
-    monkeypatch.setattr(image_noise, "NOISY", math.inf)
+    monkeypatch.setattr(sensor_facts, "NOISY_IMAGES", math.inf)
+    monkeypatch.setattr(image_change, "LEARNT", -300.0)  # toy images are noise, which no scene learns
     capture = many_frames(toy_capture(), 25)
-    budget = AutoBudgetConfig(prune_at=(0.5, 0.9), validate_every=4, patience=1000)
+    budget = AutoBudgetConfig(prune_at=(0.5, 0.9), validate_every=4)
     config = scenes_config(40, budget="auto", auto_budget=budget)
     config = dataclasses.replace(config, densification=dataclasses.replace(config.densification, stop_step=18))
     trainer = toy_trainer(tmp_path, config, capture)
@@ -338,7 +342,7 @@ def test_steps_must_be_left_for_what_they_become(share: float) -> None:
 
 def test_presets() -> None:
     """thermosplat_plus has two scenes; thermosplat_fast is one, with fewer steps. Both grow until rates fall."""
-    plus, fast = load_config("thermosplat_plus"), load_config("thermosplat_fast")
+    plus, fast = in_steps(load_config("thermosplat_plus")), in_steps(load_config("thermosplat_fast"))
     assert (plus.scenes, fast.scenes) == (2, 1)
     for config, steps in ((plus, 4800), (fast, 3200)):
         assert steps_of_scene(config) == config.densification.stop_step == steps

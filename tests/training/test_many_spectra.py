@@ -76,7 +76,7 @@ def test_three_spectra_learn(tmp_path: Path, model: dict[str, Any], nir: dict[st
         60,
         model=model,
         spectra={"nir": nir},
-        densification=DensificationConfig(enabled=False),
+        densification=DensificationConfig(stop_step=0),
         optimizer=OptimizerConfig(decoders_lr=1e-2, decoders_lr_final=1e-2),
     )
     trainer = toy_trainer(

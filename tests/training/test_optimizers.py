@@ -73,11 +73,11 @@ def test_rates_may_fall_to_zero(progress: float, share: float) -> None:
 
 def test_opacities_of_spectra_have_rates_of_their_kind() -> None:
     """Whatever a spectrum is called, its offsets, own logits and colours take the rate that is set for those."""
-    config = OptimizerConfig(opacities_lr=0.1, opacity_offsets_lr=0.2, own_opacities_lr=0.3, sh0_lr=0.4, shN_lr=0.5)
+    config = OptimizerConfig(opacities_lr=0.1, sh0_lr=0.4, shN_lr=0.5)
     for spectrum in ("thermal", "nir", "logit", "band_1"):
         names = (offsets_name(spectrum), own_logits_name(spectrum), *sh_names(spectrum), "logit_opacities")
         rates = [learning_rate(name, config, 0.5, 1.0) for name in names]
-        assert rates == [0.2, 0.3, 0.4, 0.5, 0.1], spectrum
+        assert rates == [0.1, 0.1, 0.4, 0.5, 0.1], spectrum
 
 
 def test_every_parameter_has_its_rate() -> None:

@@ -14,6 +14,7 @@ from thermosplat.config.checks import check_config
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
+from thermosplat.training.session.run_metrics import offsets_kept
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -41,7 +42,7 @@ def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
 def test_rounds_come_first(tmp_path: Path) -> None:
     """In two passes, cameras move every ``refine_every`` steps after ``refine_from``; then all steps follow."""
     capture, _ = relief_capture(times=2)
-    held = DensificationConfig(enabled=False)  # a reset would hide the scene
+    held = DensificationConfig(stop_step=0)  # a reset would hide the scene
     config = toy_run_config(12, refine=("rig",), refine_from=2, refine_every=2, refine_first=9, densification=held)
     trainer = toy_trainer(tmp_path, config, capture)
     corrections = trainer.state.corrections
@@ -94,12 +95,12 @@ def test_spectra_have_one_opacity_while_their_cameras_are_found(
     """Where it is the rig or a lens that is corrected, offsets stay zero while they are found."""
     config = toy_run_config(10, refine=refine, refine_from=1, refine_every=1, refine_first=4)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
-    offsets_kept = []
+    kept = []
     while trainer.step < config.max_steps:
         trainer._train_step()
-        offsets_kept.append(trainer.model.offsets_kept["thermal"])
-    assert not any(offsets_kept[:held])
-    assert offsets_kept[held] > 0.9
+        kept.append(offsets_kept(trainer.model)["thermal"])
+    assert not any(kept[:held])
+    assert kept[held] > 0.9
 
 
 @pytest.mark.parametrize(("budget", "steps"), [("fixed", 2), pytest.param("auto", 9, marks=pytest.mark.slow)])

@@ -13,6 +13,7 @@ from thermosplat.fused.row_adam import RowAdam
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
 from thermosplat.torch_bridge.host_rows import has_padded_rows
+from thermosplat.training.density import decomposition
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
 from toy_run import many_frames, state_tensors, step_gradients, toy_run_config, toy_trainer
@@ -29,10 +30,15 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "spectra": {"thermal": {"opacity": "own"}},
         "model": {"feature_dim": 0},
         "densification": DensificationConfig(
-            strategy="decomposing", start_step=2, stop_step=50, every=3, conflict_threshold=1e-6, max_gaussians=600
+            strategy="decomposing", start_step=2, stop_step=50, every=3, reset_every=3000, max_gaussians=600
         ),
     },
 }
+
+
+@pytest.fixture(autouse=True)
+def _much_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decomposition, "CONFLICT_THRESHOLD", 1e-6)
 
 
 def capture_of(aligned: bool = True) -> Capture:
@@ -77,7 +83,7 @@ def test_trains_as_others_where_all_is_in_view(
 
 def test_what_is_out_of_view_stays(tmp_path: Path) -> None:
     """Gaussians behind all cameras: their offloaded numbers and moments wait, while Adam moves the others'."""
-    trainer = trained(tmp_path, 1, offload="on", sh_degree_interval=1, densification=DensificationConfig(enabled=False))
+    trainer = trained(tmp_path, 1, offload="on", sh_degree_interval=1, densification=DensificationConfig(stop_step=0))
     gaussians, optimizers = trainer.state.gaussian_sets["shared"], trainer.state.optimizers["shared"]
     trainer._train_step()  # now there are moments
     with torch.no_grad():

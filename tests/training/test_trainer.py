@@ -155,7 +155,7 @@ def test_training_learns(tmp_path: Path, capture: Capture) -> None:
     """Both spectra of the frames trained on get closer to their images."""
     config = toy_run_config(
         max_steps=60,
-        densification=DensificationConfig(enabled=False),
+        densification=DensificationConfig(stop_step=0),
         optimizer=OptimizerConfig(decoders_lr=1e-2, decoders_lr_final=1e-2),
     )
     capture = dataclasses.replace(capture, train=capture.train[:1], test=capture.train[:1])

@@ -41,7 +41,7 @@ def on_disk(root: Path) -> Capture:
 
 
 BUDGET = AutoBudgetConfig(prune_at=(0.5,), validate_every=2)
-NOISY = {"thermal": {"smoothness_noise": 0.02}}
+NOISY = {"thermal": {"by_noise": True}}
 
 
 @pytest.mark.parametrize(

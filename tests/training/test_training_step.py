@@ -23,15 +23,15 @@ def test_sh_degree_rises_with_the_steps() -> None:
 
 
 def test_depths_are_drawn_together_late(tmp_path: Path) -> None:
-    """From its share of the steps on the spread of depths is a loss, and only then."""
+    """In the second half the spread of depths is a loss, and only then."""
     config = toy_run_config(max_steps=8, log_every=1)
-    loss = dataclasses.replace(config.loss, depth_spread=0.1, depth_spread_from=0.75)
+    loss = dataclasses.replace(config.loss, depth_spread=0.1)
     config = dataclasses.replace(config, loss=loss)
-    assert [StepKind.at(config, step, densifying=False).depth_spread for step in (1, 6, 7, 8)] == [0, 0, 1, 1]
+    assert [StepKind.at(config, step, densifying=False).depth_spread for step in (1, 4, 5, 8)] == [0, 0, 1, 1]
     assert not StepKind.at(toy_run_config(), 12, densifying=False).depth_spread
     toy_trainer(tmp_path, config, many_frames(toy_capture())).train()
     lines = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
-    assert [line["step"] for line in lines if "depth_spread" in line] == [7, 8]
+    assert [line["step"] for line in lines if "depth_spread" in line] == [5, 6, 7, 8]
 
 
 def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> Non
         model={"gaussian_sets": "separate", "feature_dim": 0},
         spectra={"rgb": {"train_until": 0.5}, "thermal": {"train_from": 0.5}},
         loss=LossConfig(opacity_reg=0.01, scale_reg=0.01),
-        densification=DensificationConfig(enabled=False),
+        densification=DensificationConfig(stop_step=0),
     )
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
     for kept, steps in (("thermal", 4), ("rgb", 8)):

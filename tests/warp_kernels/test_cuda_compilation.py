@@ -42,6 +42,8 @@ from warp_kernels.projection.projection import projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 from warp_kernels.training.activations import activation_kernels
 
+pytestmark = pytest.mark.rotating
+
 
 def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     """Kernels with one thread per Gaussian, pair or image."""

@@ -22,6 +22,8 @@ from warp_kernels.training.row_adam import row_adam_kernel
 from warp_kernels.training.row_fetch import row_fetch_kernel
 from warp_kernels.training.small_products import small_product_kernels
 
+pytestmark = pytest.mark.rotating
+
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:

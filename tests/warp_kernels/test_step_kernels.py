@@ -1,12 +1,13 @@
 """Kernels compiled ahead are all that a step launches."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from forked_processes import run_python
 from warp_kernels.step_kernels import cpu_step_kernels
+
+pytestmark = pytest.mark.rotating
 
 STEP = """
 import sys
@@ -60,5 +61,5 @@ def test_what_one_traversal_cannot_blend_is_not_compiled() -> None:
 @pytest.mark.parametrize("dual", [True, False])
 def test_a_step_compiles_nothing_else(dual: bool, tmp_path: Path) -> None:
     """In a fresh process, with one opacity or two, a step finds all its kernels compiled."""
-    done = subprocess.run([sys.executable, "-c", STEP, str(dual), str(tmp_path)], capture_output=True, text=True)
+    done = run_python("-c", STEP, str(dual), tmp_path)
     assert done.returncode == 0, done.stderr

@@ -35,6 +35,9 @@ LensModel = Literal["pinhole", "radial", "ortho", "fisheye", "ftheta", "ftheta_i
 RATIONAL = ("pinhole", "radial")
 """Models whose radial part is a fraction."""
 
+MAPPED = ("ftheta", "ftheta_inverse")
+"""Models with a matrix and a largest angle."""
+
 LENS_COEFFS = 16
 """Numbers of a lens."""
 
@@ -168,7 +171,7 @@ def _rational(*, centred: bool):
 
 def _angular(model: LensModel):
     zero, one, tiny = wp.float64(0.0), wp.float64(1.0), wp.float64(1.0e-30)
-    fisheye, inverse = model == "fisheye", model == "ftheta_inverse"
+    fisheye, inverse, mapped = model == "fisheye", model == "ftheta_inverse", model in MAPPED
 
     @wp.func
     def polynomial(k: lens_vector, first: int, x: wp.float64):
@@ -220,7 +223,7 @@ def _angular(model: LensModel):
         xx, xy, yy = w + x * x * (along - w), x * y * (along - w), w + y * y * (along - w)
         bent = wp.vec2d(length * x, length * y)
         J = mat23d(xx, xy, p[0] * fall, xy, yy, p[1] * fall)
-        if wp.static(not fisheye):
+        if wp.static(mapped):
             c, d, e = k[12], k[13], k[14]
             bent = wp.vec2d(c * bent[0] + d * bent[1], e * bent[0] + bent[1])
             row0, row1 = J[0], J[1]
@@ -283,7 +286,7 @@ def lens_limit_kernel(dtype: type, model: LensModel) -> wp.Kernel:
     _, _, radial_slope = lens_functions(model)
     zero, unlimited = wp.float64(0.0), 1.0e30
     steps, steepest = wp.float64(FOLD_STEPS), STEEPEST
-    stated = model in ("ftheta", "ftheta_inverse")
+    stated = model in MAPPED
 
     @wp.kernel(name=f"lens_limits_{model}_{dtype.__name__}", enable_backward=False, module="unique")
     def lens_limits_kernel(

@@ -8,13 +8,15 @@ from typing import Annotated
 import tyro
 
 from thermosplat.cli.command_line import parse_command_line
+from thermosplat.cli.first_flags import ALL, print_first_flags
 from thermosplat.cli.foreign_flags import refuse_foreign_flags, without_gone_flags
 from thermosplat.cli.spectrum_flags import named_spectra, refuse_unknown_spectra, with_groups
 from thermosplat.cli.viewer_flags import LOCAL_HOST, viewer_flags, with_viewer_port
 from thermosplat.config import TrainConfig
 from thermosplat.config.capture_settings import with_recommendations
-from thermosplat.config.checks import check_config
+from thermosplat.config.checks import check_config, flattened
 from thermosplat.config.files import files_from_anywhere, load_config, with_given_steps
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.errors import UserError
 
 DEFAULT_PRESET = "thermosplat_plus"
@@ -22,7 +24,7 @@ DEFAULT_PRESET = "thermosplat_plus"
 low-light.md of benchmarks/records."""
 SAMPLE_PRESET = "demo"
 
-HELP_FLAGS = ("-h", "--help")
+HELP_FLAGS = ("-h", "--help", ALL)
 MAY_CHANGE_ON_RESUME = frozenset(
     {
         "data",
@@ -88,7 +90,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
     Raises:
         UserError: No capture, an unknown preset or spectrum, a value out of range, another trainer's flag, or flags
             that contradict the resumed run.
-        SystemExit: Code 0 after --help or --version, code 2 after flags that tyro cannot understand.
+        SystemExit: Code 0 after --help, --help-all or --version, code 2 after flags that tyro cannot understand.
     """
     refuse_foreign_flags(argv)
     argv = without_gone_flags(argv)
@@ -143,6 +145,8 @@ def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:
             f"{folder} was to be trained for {run_config.max_steps} steps, the command asks for {asked.max_steps}.",
             "A resumed run can have more steps, not fewer: leave out --max-steps.",
         )
+    if asked.max_steps > run_config.max_steps:  # what it has done, it has done
+        asked = in_steps(asked, run_config.max_steps)
     check_config(asked)
     return asked
 
@@ -152,6 +156,10 @@ def _parse(argv: list[str], default: TrainConfig) -> TrainConfig:
     if _gives(argv, "--max-steps"):
         default = dataclasses.replace(default, **with_given_steps({"max_steps": default.max_steps}))
     start = TrainArguments(**{field.name: getattr(default, field.name) for field in dataclasses.fields(TrainConfig)})
+    if ALL in argv:
+        argv = ["--help"]
+    elif not set(HELP_FLAGS).isdisjoint(argv):
+        print_first_flags(start)
     argv = with_viewer_port(with_groups(argv, default.spectra))
     arguments = parse_command_line(TrainArguments, argv, prog="thermosplat-train", default=start)
     return TrainConfig(**{field.name: getattr(arguments, field.name) for field in dataclasses.fields(TrainConfig)})
@@ -164,19 +172,5 @@ def _gives(argv: list[str], flag: str) -> bool:
 
 def _differences(one: TrainConfig, other: TrainConfig) -> list[tuple[str, object, object]]:
     """Dotted names and both values of the fields in which two configurations differ."""
-    pairs = zip(_leaves(one), _leaves(other))
+    pairs = zip(flattened(one), flattened(other))
     return [(key, value, changed) for (key, value), (_, changed) in pairs if value != changed]
-
-
-def _leaves(config: object, prefix: str = "") -> list[tuple[str, object]]:
-    leaves: list[tuple[str, object]] = []
-    for field in dataclasses.fields(config):  # type: ignore[arg-type]
-        value = getattr(config, field.name)
-        if isinstance(value, dict):
-            for name, group in value.items():
-                leaves += _leaves(group, f"{prefix}{field.name}.{name}.")
-        elif dataclasses.is_dataclass(value):
-            leaves += _leaves(value, f"{prefix}{field.name}.")
-        else:
-            leaves.append((prefix + field.name, value))
-    return leaves

@@ -37,7 +37,7 @@ def parse_command_line(
     if "--version" in argv:
         print(f"thermosplat {__version__}")
         raise SystemExit(0)
-    _join_lines_of_help(kind)  # type: ignore[arg-type]  # a class is hashable
+    join_lines_of_help(kind)  # type: ignore[arg-type]  # a class is hashable
     # tyro's own reading of the docstring ends before its examples
     description = inspect.cleandoc(kind.__doc__ or "")
     with help_printed(argv):
@@ -68,17 +68,18 @@ def check_ranges(arguments: object, **ranges: tuple[float, float]) -> None:
 
 
 @cache
-def _join_lines_of_help(kind: Hashable) -> None:
+def join_lines_of_help(kind: Hashable) -> None:
     """Let the text of every flag be one line, which tyro wraps: it keeps line breaks before indented lines."""
+    described: dict[str, str] = {}
     for owner in reversed(inspect.getmro(kind)):  # type: ignore[arg-type]
         if dataclasses.is_dataclass(owner):
-            described = _texts_below_fields(owner)
+            described |= _texts_below_fields(owner)  # of a field that is declared anew, the text stays
             for field in dataclasses.fields(owner):
                 if field.name in described:
                     field.metadata = MappingProxyType({**field.metadata, "help": described[field.name]})
                 for kind in (field.type, *typing.get_args(field.type)):  # a group, or groups by name
                     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-                        _join_lines_of_help(kind)
+                        join_lines_of_help(kind)
 
 
 def _texts_below_fields(kind: type) -> dict[str, str]:

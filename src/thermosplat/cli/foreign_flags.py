@@ -5,8 +5,6 @@ docs/migrating.md holds the same table for readers.
 
 import dataclasses
 
-import yaml
-
 from thermosplat.config import TrainConfig
 from thermosplat.config.renamed import GONE, NEW_NAMES, gone
 from thermosplat.errors import UserError
@@ -49,7 +47,8 @@ _OURS |= {
     "--model.geometric-decoupling": "--thermal.opacity offset",
     "--model.no-geometric-decoupling": "--thermal.opacity shared",
     "--decoder.no-hybrid-rgb": "--decoder.no-hybrid",
-    "--densification.decompose-threshold": "--densification.strategy decomposing --densification.conflict-threshold",
+    "--densification.decompose-threshold": "--densification.strategy decomposing",
+    "--densification.no-enabled": "--densification.stop-step 0",
 }
 
 
@@ -98,13 +97,19 @@ def without_gone_flags(argv: list[str]) -> list[str]:
         if of_name is None:
             kept.append(word)
             continue
-        if isinstance(of_name.neutral[0], bool):
-            value: object = switch
-        else:
-            value = yaml.safe_load(text if equals else next(words, ""))
+        value: object = switch
+        if not isinstance(of_name.neutral[0], bool):
+            value = _number_or_text(text if equals else next(words, ""))
         if not of_name.asks_for_today(value):
             raise UserError(of_name.said(given, value), "Leave it out.")
     return kept
+
+
+def _number_or_text(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word
 
 
 def _setting(flag: str) -> tuple[str, bool]:

@@ -23,71 +23,56 @@ _AT_LEAST: dict[str, float] = {
     "data_factor": 1,
     "test_every": 2,
     "sh_degree": 0,
-    "sh_degree_interval": 1,
     "log_every": 1,
-    "refine_from": 0,
     "refine_rounds_from": 0,
     "refine_every": 1,
     "refine_first": 0,
     "seed": 0,
     "model.feature_dim": 0,
-    "model.feature_noise": 0,
     "model.eps2d": 0,
     "decoder.hidden_dim": 1,
-    "decoder.hidden_layers": 1,
     "decoder.padding": 0,
     "decoder.fourier_frequency": 0,
-    "densification.every": 1,
-    "densification.reset_every": 1,
     "densification.max_gaussians": 1,
     "densification.growth": 0,
     "densification.split_apart": 0,
     "resolution.growth_power": 0,
-    "auto_budget.validate_every": 1,
-    "auto_budget.patience": 1,
-    "auto_budget.spectrum_patience": 0,
     "densification.position_noise": 0,
     "densification.grad_threshold": 0,
-    "densification.prune_large_from": 0,
-    "densification.conflict_threshold": 0,
+}
+_STEPS = {
+    "sh_degree_interval": 1,
+    "refine_from": 0,
     "densification.start_step": 0,
     "densification.stop_step": 0,
+    "densification.every": 1,
+    "densification.reset_every": 1,
+    "auto_budget.validate_every": 1,
 }
+"""Least number of steps where a schedule is given in steps, not as a share of the run."""
 _AT_MOST: dict[str, float] = {
     "densification.split_apart": SPLIT_APART_MOST,
     "max_steps": 10**8,
     "seed": 2**63 - 1,  # what torch's generators take
     "sh_degree": SH_DEGREE_MAX,  # what the renderer's kernels evaluate
     "decoder.hidden_dim": 65_536,  # far beyond what trains; more only fills the memory
-    "decoder.hidden_layers": 64,
 }
 _LARGEST_INTEGER = 10**12
 """Far beyond any count of steps, images or Gaussians; sums and products of such numbers stay below 2^63."""
 _LEAST_FLOAT, _LARGEST_FLOAT = 1e-30, 1e30
 """float32, in which all of it is computed, has numbers from 1e-38 to 3e38."""
-_SHARES = (
-    "loss.ssim_lambda",
-    "loss.depth_spread_from",
-    "optimizer.cooldown_from",
-    "densification.prune_opacity",
-    "densification.keep_opacity",
-)
+_LEAST_SHARE = 1e-9
+"""Of the run, where there must be a step: of 10^8, the longest run, a tenth of one."""
+_SHARES = ("loss.ssim_lambda", "optimizer.cooldown_from")
 _POSITIVE = (
     "steps_scaler",
     "image_memory",
     "gpu_memory",
-    "model.init_scale",
-    "loss.swept_depth_limit",
-    "optimizer.eps",
     "optimizer.means_lr_final",
     "optimizer.features_lr_final",
     "optimizer.decoders_lr_final",
-    "optimizer.poses_lr_final",
-    "optimizer.cameras_lr_final",
     "optimizer.final_share",
     "refine_rates",
-    "densification.grow_scale3d",
-    "densification.prune_scale3d",
 )
 
 
@@ -101,7 +86,7 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     Raises:
         UserError: A value out of range, or two settings that exclude each other; names it, its value and the bound.
     """
-    values = dict(_flattened(config))
+    values = dict(flattened(config))
 
     def name(key: str) -> str:
         return f"{source}: {key}" if source else "--" + key.removeprefix("spectra.").replace("_", "-")
@@ -120,6 +105,13 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     for key, most in _AT_MOST.items():
         if values[key] > most:
             raise UserError(f"{name(key)} must be at most {most}, found {shown(values[key])}.")
+    for key, least in _STEPS.items():
+        steps = values[key]
+        if not (steps >= least if isinstance(steps, int) else 0 <= steps <= 1 and steps >= least * _LEAST_SHARE):
+            raise UserError(
+                f"{name(key)} must be at least {least} as steps, which are a whole number, or between 0 and 1 as a "
+                f"share of the run, found {shown(steps)}."
+            )
     for key, value in values.items():
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int) and abs(number) > _LARGEST_INTEGER and key != "seed":
@@ -136,9 +128,9 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     for key in ("eval_steps", "save_steps"):
         if any(step < 1 for step in values[key]):
             raise UserError(f"{name(key)} must be steps from 1 on, found {list(values[key])}.")
-    for key in ("model.init_opacity", "densification.reset_opacity"):  # stored as logits
-        if not 0 < values[key] < 1:
-            raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")
+    for key, most in (("model.init_opacity", 1.0), ("densification.prune_opacity", 0.5)):  # once and twice are logits
+        if not 0 < values[key] < most:
+            raise UserError(f"{name(key)} must lie between 0 and {most:g}, found {values[key]}.")
     if not all(0 <= channel <= 1 for channel in config.background):
         raise UserError(f"{name('background')} must be three values between 0 and 1, found {config.background}.")
     check_spectra(config, name)
@@ -270,11 +262,6 @@ def _channels(first: int, beyond: int) -> str:
 
 def _check_decomposition(config: TrainConfig, name: Any) -> None:
     model, densification = config.model, config.densification
-    if not 0 < densification.off_opacity < 1 / 255:
-        raise UserError(
-            f"{name('densification.off_opacity')} must lie between 0 and 1/255, so that it is not drawn, found "
-            f"{densification.off_opacity}."
-        )
     if densification.strategy != "decomposing":
         return
     modelled = list(config.modelled.values())
@@ -292,13 +279,19 @@ def _check_decomposition(config: TrainConfig, name: Any) -> None:
         )
 
 
-def _flattened(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flattened(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names and values of all settings, of every spectrum, too.
+
+    Args:
+        config: A configuration, or a group of one.
+        prefix: What comes before the names.
+    """
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
-            yield from _flattened(value, f"{prefix}{field.name}.")
+            yield from flattened(value, f"{prefix}{field.name}.")
         elif isinstance(value, dict):
             for name, group in value.items():
-                yield from _flattened(group, f"{prefix}{field.name}.{name}.")
+                yield from flattened(group, f"{prefix}{field.name}.{name}.")
         else:
             yield f"{prefix}{field.name}", value

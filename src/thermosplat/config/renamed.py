@@ -9,6 +9,7 @@ from typing import Any
 
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
+from thermosplat.spectra import NOISY_SENSOR
 
 NEW_NAMES = {
     "thermal.source": "spectra.thermal.source",
@@ -64,6 +65,8 @@ class Gone:
 
 
 _SOLVED = Gone((1e-3, 1e-4), "Exposures are solved for, without a learning rate.")
+NOISES = ("loss_noise", "smoothness_noise", "point_spread_noise")
+"""Settings of a spectrum that gave the noise of a noisy sensor, or 0 where noise did not count."""
 GONE = {
     "model.rasterize_mode": Gone(
         ("classic",),
@@ -74,6 +77,38 @@ GONE = {
     "spectra.*.charbonnier": Gone((0.0,), "Differences count as |d| + k d², with the k that spectra.*.squared gives."),
     "optimizer.exposures_lr": _SOLVED,
     "optimizer.exposures_lr_final": _SOLVED,
+    "optimizer.opacity_offsets_lr": Gone((0.05,), "Every opacity learns at the rate optimizer.opacities_lr."),
+    "optimizer.own_opacities_lr": Gone((0.05,), "Every opacity learns at the rate optimizer.opacities_lr."),
+    **{
+        f"optimizer.{name}": Gone((value,))
+        for name, value in {
+            **{"poses_lr": 1e-4, "poses_lr_final": 2.5e-6, "cameras_lr": 1.5e-3, "cameras_lr_final": 5e-6},
+            "eps": 1e-15,
+        }.items()
+    },
+    "densification.prune_large_from": Gone(
+        (3000,), "Gaussians that are too large go after the first reset of opacities, densification.reset_every."
+    ),
+    "densification.reset_opacity": Gone((0.01,), "A reset leaves no opacity above twice densification.prune_opacity."),
+    **{
+        f"densification.{name}": Gone((value,))
+        for name, value in {
+            **{"grow_scale3d": 0.01, "prune_scale3d": 0.1, "conflict_threshold": 2e-4},
+            **{"keep_opacity": 0.5, "off_opacity": 0.003},
+        }.items()
+    },
+    "model.feature_noise": Gone((0.2,)),
+    "model.init_scale": Gone((1.0,), "First scales are the root mean square distance to the 3 nearest points."),
+    "decoder.hidden_layers": Gone((2,), shapes_images=True),
+    "decoder.hybrid_bias": Gone((-4.0,)),
+    **{
+        f"loss.{name}": Gone((value,))
+        for name, value in {"depth_spread_limit": 0.1, "depth_spread_from": 0.5, "swept_depth_limit": 0.03}.items()
+    },
+    **{f"spectra.*.{name}": Gone((0.0,), "Whether noise counts says spectra.*.by_noise.") for name in NOISES},
+    "spectra.*.smoothness_least": Gone((0.05,)),
+    "auto_budget.patience": Gone((3000, 2000), "Growth stops after twelve looks (auto_budget.validate_every)."),
+    "auto_budget.spectrum_patience": Gone((1000, 670), "Four looks (auto_budget.validate_every) are waited for."),
     "auto_budget.prune_by": Gone(
         ("removal",), "A Gaussian's importance is the change of the images where it alone is left out."
     ),
@@ -127,6 +162,8 @@ def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] |
         found = _taken(values, old)
         if found is not _MISSING:
             _put(values, new, found)
+    for by_noise in _named(values, "spectra.*.by_noise"):
+        _say_by_noise(values, by_noise)
     for name, of_name in GONE.items():
         for full in _named(values, name):
             _leave_out(of_name, full, _taken(values, full), source, notes)
@@ -142,6 +179,17 @@ def _named(values: dict[str, Any], name: str) -> list[str]:
     return (
         [name.replace("*", each) for each in (spectra if isinstance(spectra, dict) else ())] if "*" in name else [name]
     )
+
+
+def _say_by_noise(values: dict[str, Any], by_noise: str) -> None:
+    """What a spectrum's thresholds of noise said, which were that of a noisy sensor, or 0; others stay as they are."""
+    names = [by_noise.replace("by_noise", name) for name in NOISES]
+    found = {name: value for name in names if (value := _taken(values, name)) is not _MISSING}
+    for name, value in found.items():
+        if value not in (0.0, NOISY_SENSOR):
+            _put(values, name, value)
+    if any(value in (0.0, NOISY_SENSOR) for value in found.values()):
+        _put(values, by_noise, NOISY_SENSOR in found.values())
 
 
 def _leave_out(gone: Gone, name: str, value: Any, source: str, notes: list[str] | None) -> None:
@@ -195,14 +243,35 @@ def _exposed(values: dict[str, Any], exposed: Any) -> bool:
     return isinstance(exposed, bool)
 
 
+def _enabled(values: dict[str, Any], enabled: Any) -> bool:
+    if enabled is False:
+        values.setdefault("densification", {})["stop_step"] = 0
+    return isinstance(enabled, bool)
+
+
+def _reset(values: dict[str, Any], opacity: Any) -> bool:
+    densification = values.get("densification", {})
+    pruned = densification.get("prune_opacity") if isinstance(densification, dict) else None
+    return isinstance(pruned, float) and opacity == 2 * pruned
+
+
+def _same_rate(values: dict[str, Any], rate: Any) -> bool:
+    optimizer = values.get("optimizer", {})
+    return isinstance(optimizer, dict) and rate == optimizer.get("opacities_lr")
+
+
 _CHANGES: dict[str, Change] = {
+    "optimizer.opacity_offsets_lr": _same_rate,
+    "optimizer.own_opacities_lr": _same_rate,
+    "densification.enabled": _enabled,
+    "densification.reset_opacity": _reset,
     "model.exposures": _exposed,
     "model.rgb": _modelled("rgb"),
     "model.thermal": _modelled("thermal"),
     "model.geometric_decoupling": _decoupled,
     "densification.decompose_threshold": _decomposed,
 }
-"""Settings whose values say something else today."""
+"""Settings whose values say something else today, or the same as another one."""
 
 _MISSING = object()
 

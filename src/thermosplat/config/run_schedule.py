@@ -19,16 +19,41 @@ ADAM_BETAS = (0.9, 0.999)
 """Decay of Adam's moments in a step of one frame. 3DGS: torch's defaults."""
 LONGEST = 30_000
 """Steps of one frame up to which a capture may ask for more of them. 3DGS's number, whatever the capture."""
-_OF_RUN = ("max_steps", "sh_degree_interval", "refine_from")
+_OF_RUN = ("sh_degree_interval", "refine_from")
 _OF_CAMERAS = ("refine_every", "refine_first", "refine_rounds_from")
 """How long finding cameras takes, however long the scene is trained."""
-_OF_DENSIFICATION = ("start_step", "stop_step", "every", "prune_large_from", "reset_every")
-_OF_BUDGET = ("validate_every", "patience", "spectrum_patience")
+_OF_DENSIFICATION = ("start_step", "stop_step", "every", "reset_every")
+_OF_BUDGET = ("validate_every",)
 
 
 def scaled_steps(steps: int, factor: float) -> int:
     """So many times a number of steps, rounded up."""
     return math.ceil(round(steps * factor, 6))
+
+
+def in_steps(config: TrainConfig, max_steps: int | None = None) -> TrainConfig:
+    """The configuration with schedules in steps of one frame, where they are shares of the run.
+
+    Args:
+        config: The configuration; without shares it is returned as it is.
+        max_steps: Of how many steps they are shares, to the nearest step but 0. None: of the configuration's.
+    """
+    of = config.max_steps if max_steps is None else max_steps
+
+    def counted(group: Any, names: tuple[str, ...]) -> dict[str, Any]:
+        shares = {name: getattr(group, name) for name in names if isinstance(getattr(group, name), float)}
+        return {name: max(round(share * of), int(share > 0)) for name, share in shares.items()}
+
+    run, budget = counted(config, _OF_RUN), counted(config.auto_budget, _OF_BUDGET)
+    densification = counted(config.densification, _OF_DENSIFICATION)
+    if not (run or budget or densification):
+        return config
+    return replace(
+        config,
+        **run,
+        densification=replace(config.densification, **densification),
+        auto_budget=replace(config.auto_budget, **budget),
+    )
 
 
 def _asked_by_capture(config: TrainConfig, views: int, noisy: Sequence[str]) -> dict[str, float]:
@@ -81,15 +106,16 @@ def steps_note(config: TrainConfig, views: int, noisy: Sequence[str]) -> tuple[s
 def run_schedule(config: TrainConfig, views: int = 0, noisy: Sequence[str] = ()) -> TrainConfig:
     """What a run does: with ``steps_scaler``, for its training images, and in steps of its ``batch_size`` frames.
 
-    The result has nothing left to scale by, so that it is checked and kept as what is done.
+    The result has no shares and nothing left to scale by, so that it is checked and kept as what is done.
 
     Args:
-        config: The configuration; with nothing to scale by it is returned as it is.
+        config: The configuration; with nothing to scale by, and no shares, it is returned as it is.
         views: Training views of the capture; 0 where they are not known.
         noisy: The spectra whose images are noisy.
     """
     size = config.batch_size or 1
     of_capture = _capture_factor(config, _asked_by_capture(config, views, noisy))
+    config = in_steps(config)
     if size == config.steps_scaler == of_capture == 1:
         return config
     factor = config.steps_scaler * of_capture / size
@@ -104,7 +130,7 @@ def run_schedule(config: TrainConfig, views: int = 0, noisy: Sequence[str] = ())
         steps_scaler=1.0,
         steps_for_views=None,
         noisy_steps=1.0,
-        **scaled(config, _OF_RUN),
+        **scaled(config, ("max_steps", *_OF_RUN)),
         **scaled(config, _OF_CAMERAS, 1 / size),
         eval_steps=tuple(scaled_steps(step, factor) for step in config.eval_steps),
         save_steps=tuple(scaled_steps(step, factor) for step in config.save_steps),

@@ -12,6 +12,8 @@ from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
 Refined = Literal["poses", "rig", "intrinsics", "distortion"]
 LensUse = Literal["undistort", "direct"]
+Steps = int | float
+"""Of a schedule: a whole number counts steps of one frame, a number with a point is that share of the run."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +22,6 @@ class DecoderConfig:
 
     hidden_dim: int = 64
     """Width of the shared encoder and of the prior heads. Open choice: MS-Splatting 16 to 32, FeatSplat 64."""
-    hidden_layers: int = 2
-    """Layers of the shared encoder, each followed by SiLU. Open choice ("multiple pixel-wise linear layers")."""
     modulation: bool = True
     """Feature-wise modulation of one spectrum by another one's prior. Off: plain heads (ablation "MLP-based")."""
     branches: Literal["joined", "separate"] = "joined"
@@ -43,9 +43,6 @@ class DecoderConfig:
     """How far beyond 0 and 1 images that are decoded alone may reach. At 0 logits sink without end where images are 0,
     and what they take along comes back slowly, since the sigmoid has no slope there. Mip-NeRF has 0.001. Open choice
     for short trainings: 0.1; benchmarks/records/cpu.md."""
-    hybrid_bias: float = -4.0
-    """Initial bias of that spectrum's head, so that the hybrid sum starts at the SH colour: sigmoid(-4) = 0.018. Open
-    choice. Ignored (0) without the hybrid sum."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +57,8 @@ class ModelConfig:
     eps2d: float = 0.3
     """Added to the variances of a Gaussian's footprint along both axes of the image [px²]: 0.3 blurs by a deviation of
     0.55 px. 3DGS and gsplat."""
-    feature_noise: float = 0.2
-    """Standard deviation of the initial features that have no colour to start from. Open choice: MS-Splatting 0.2."""
     init_opacity: float = 0.1
     """Opacity of the first Gaussians. 3DGS."""
-    init_scale: float = 1.0
-    """First scales, as a multiple of the root mean square distance to the 3 nearest points. 3DGS."""
 
 
 @dataclass(frozen=True)
@@ -83,22 +76,15 @@ class LossConfig:
     scale_reg: float = 0.0
     """Weight of the mean scale, in units of the scene's extent. 3DGS-MCMC: 0.01."""
     depth_spread: float = 0.0
-    """Weight of the spread of log-depth along rays, of every spectrum. 2DGS's depth distortion, with squares."""
-    depth_spread_limit: float = 0.1
-    """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet
-    in a pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
-    depth_spread_from: float = 0.5
-    """Share of the steps before that spread counts. Open choice."""
-    swept_depth_limit: float = 0.03
-    """Largest difference of log z from a swept depth (``SpectrumConfig.swept_depth``) that counts. Where it is larger
-    the sweep found another surface, or is wrong. Open choice."""
+    """Weight of the spread of log-depth along rays, of every spectrum, in the second half of the run. 2DGS's depth
+    distortion, with squares."""
     balance: bool = False
     """Multiply the losses of a separate set by the other sets' share of all Gaussians. ThermalGaussian MSMG."""
 
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """Adam's learning rates, each a constant unless it or ``final_share`` says otherwise."""
+    """Adam's learning rates of the scene, each a constant unless it or ``final_share`` says otherwise."""
 
     means_lr: float = 1.6e-4
     """Means, times the scene's extent. 3DGS."""
@@ -109,7 +95,8 @@ class OptimizerConfig:
     quats_lr: float = 1e-3
     """Quaternions. 3DGS."""
     opacities_lr: float = 5e-2
-    """Logit-opacities. 3DGS (gsplat and the original code: 0.05)."""
+    """Logit-opacities, and offsets and own logits of the opacities of further spectra. 3DGS (gsplat and the original
+    code: 0.05); MMOne trains its thermal opacity with the same rate."""
     sh0_lr: float = 2.5e-3
     """SH degree 0, of every spectrum that has SH colours. 3DGS."""
     shN_lr: float = 2.5e-3 / 20
@@ -123,30 +110,15 @@ class OptimizerConfig:
     features_lr_final: float = 5e-4
     """Latent features at the last step (exponential decay). Open choice: as the decoders'; at a constant rate features
     go on fitting the noise of the training views (benchmarks/records/thermosplat-preset.md)."""
-    opacity_offsets_lr: float = 5e-2
-    """Offsets of a spectrum's opacity. Open choice: MMOne trains its thermal opacity with the opacity's rate."""
-    own_opacities_lr: float = 5e-2
-    """Logits of a spectrum's own opacity. MMOne: the opacity's rate."""
     decoders_lr: float = 5e-3
     """Decoder networks. Open choice: MS-Splatting's."""
     decoders_lr_final: float = 5e-4
     """Decoder networks at the last step (exponential decay). Open choice."""
-    poses_lr: float = 1e-4
-    """Poses of the training frames (``refine``), in widths of the images. Open choice."""
-    poses_lr_final: float = 2.5e-6
-    """Poses at the last step (exponential decay). Open choice."""
-    cameras_lr: float = 1.5e-3
-    """Distortion of the first spectrum, or the only one's focal lengths (``refine``), in widths of the images. Open
-    choice: more than poses, which few steps look at."""
-    cameras_lr_final: float = 5e-6
-    """The same at the last step (exponential decay). Open choice."""
     final_share: float = 1.0
     """Share of every other rate that is left at the last step (exponential decay). 3DGS: 1, all of it."""
     cooldown_from: float = 1.0
     """Share of the steps after which every rate also falls to zero, in a straight line. 1: none does. Open choice;
     Hägele et al. 2024, "Scaling Laws and Compute-Optimal Training Beyond Fixed Training Durations"."""
-    eps: float = 1e-15
-    """Adam's ε. 3DGS."""
 
 
 SPLIT_APART_MOST = 0.8
@@ -157,8 +129,6 @@ SPLIT_APART_MOST = 0.8
 class DensificationConfig:
     """When Gaussians are cloned, split, pruned and reset (3DGS's adaptive density control), or relocated (MCMC)."""
 
-    enabled: bool = True
-    """Off: the number of Gaussians stays what it is."""
     strategy: Literal["default", "mcmc", "decomposing"] = "default"
     """"default": 3DGS's adaptive density control. "mcmc": 3DGS-MCMC (Kheradmand et al. 2024). Gaussians that every
     spectrum sees fainter than ``prune_opacity`` move onto others, their number grows by ``growth`` up to
@@ -178,12 +148,13 @@ class DensificationConfig:
     """MCMC: the two that a Gaussian becomes lie so far to either side of it along its longest axis, in its standard
     deviations there, and are narrower by as much. 0: both in its place, as in 3DGS-MCMC. At most 0.8. Open choice;
     splits along the longest axis: ImprovedGS (Deng et al. 2025)."""
-    start_step: int = 500
-    """The count changes after this step only: at the first multiple of ``every`` above it. 3DGS."""
-    stop_step: int = 15_000
-    """No growth from this step on. 3DGS."""
-    every: int = 100
-    """Steps between refinements. 3DGS."""
+    start_step: Steps = 0.01667
+    """The count changes after this step, or share of the run, only: at the first multiple of ``every`` above it. 3DGS:
+    500 of 30,000."""
+    stop_step: Steps = 0.5
+    """No growth from this step, or share of the run, on. 0: the number of Gaussians stays what it is. 3DGS: 15,000."""
+    every: Steps = 0.00333
+    """Steps, or share of the run, between refinements. 3DGS: 100."""
     grad_threshold: float = 4e-4
     """Mean norm of the means2d gradient, in units of half the image, above which a Gaussian grows. 3DGS: 2e-4 for one
     image loss. In a shared set the gradients of both passes are summed (open choice: MMOne adds them as vectors), and
@@ -191,26 +162,12 @@ class DensificationConfig:
     threshold. Open choice; with 2e-4 the same views get several times 3DGS's Gaussians."""
     absgrad: bool = False
     """Use the sum of absolute per-pixel gradients (AbsGS); its usual threshold is 8e-4."""
-    grow_scale3d: float = 0.01
-    """Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""
     prune_opacity: float = 0.005
-    """Gaussians fainter than this go; with several opacities all must be. 3DGS (open choice: the maximum)."""
-    conflict_threshold: float = 2e-4
-    """Decomposing: difference of two spectra's mean means2d gradients, in units of half the image, above which a
-    Gaussian becomes one of each. MMOne."""
-    keep_opacity: float = 0.5
-    """Decomposing: a Gaussian fainter than ``prune_opacity`` in one spectrum goes unless its opacity in the
-    other is above this. MMOne."""
-    off_opacity: float = 0.003
-    """Decomposing: opacity of a Gaussian of one spectrum in the other, below the 1/255 that is drawn. MMOne."""
-    prune_scale3d: float = 0.1
-    """Gaussians larger than this share of the scene's extent go, from ``prune_large_from`` on. 3DGS."""
-    prune_large_from: int = 3000
-    """Gaussians that are too large are only removed after this step. 3DGS: after the first opacity reset."""
-    reset_every: int = 3000
-    """Steps between opacity resets. 3DGS."""
-    reset_opacity: float = 0.01
-    """Opacity after a reset, at most, of every spectrum. 3DGS (open choice: MMOne resets both)."""
+    """Gaussians fainter than this go; with several opacities all must be. 3DGS (open choice: the maximum). A reset
+    leaves no opacity above twice this."""
+    reset_every: Steps = 0.1
+    """Steps, or share of the run, between opacity resets, of every spectrum. After the first of them Gaussians that are
+    too large go, too. 3DGS: 3000 (open choice: MMOne resets both)."""
     max_gaussians: int | None = None
     """Growth stops at this count; of several ``scenes`` each has its part of it. None: no limit, as in 3DGS. The MCMC
     strategy needs one: with None it is one Gaussian for each pixel of the largest training image, from 300,000 to 3
@@ -241,13 +198,9 @@ class AutoBudgetConfig:
     """Shares of the run after which the Gaussians that matter least are removed, where growth has ended; it ends with
     the last. Several small cuts with training between them take away more than one, as what is left makes up for what
     is gone (open choice); the last leaves a fifth of the run to do so."""
-    validate_every: int = 250
-    """Steps between looks at the validation views."""
-    patience: int = 3000
-    """Growth stops when the validation views' PSNR has not risen for this many steps: as long as from one opacity reset
-    to the next. Too many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
-    spectrum_patience: int = 1000
-    """So many steps ago a spectrum must have been best to be held there, if its images are noisy. Open choice."""
+    validate_every: Steps = 0.00833
+    """Steps, or share of the run, between looks at the validation views: growth stops twelve looks after their PSNR has
+    last risen."""
 
 
 @dataclass(frozen=True)
@@ -262,12 +215,12 @@ class TrainConfig:
     result_dir: str | None = None
     """Where everything the run makes goes. None: results/<capture's name>/<config's name>."""
     max_steps: int = 30_000
-    """Training steps, one frame (all its spectra) each. Other schedules (densification, SH degree) are not rescaled
-    when this changes, as in gsplat. ``steps_scaler`` rescales all. ThermoSplat, 3DGS."""
+    """Training steps, one frame (all its spectra) each. Schedules are shares of them, unless they are given in steps,
+    as whole numbers. ThermoSplat, 3DGS."""
     steps_scaler: float = 1.0
-    """What all numbers of steps are multiplied by, ``max_steps`` and those of all schedules: with 0.5 a training has
-    the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the rounds of
-    ``refine`` and ``log_every`` stay. gsplat."""
+    """What all numbers of steps are multiplied by, ``max_steps`` and those that schedules are given in: with 0.5 a
+    training has the same course in half of the steps. Only what finds cameras before the scene (``refine_first``), the
+    rounds of ``refine`` and ``log_every`` stay. gsplat."""
     steps_for_views: int | None = None
     """Training views that these numbers of steps are meant for. With more, all of them are multiplied as by
     ``steps_scaler``, so that each view is seen as often, up to 30,000 of each scene. None: whatever the views. A file
@@ -297,8 +250,8 @@ class TrainConfig:
     """Every n-th frame is held out, unless the capture's folders say which are. 3DGS, RGBT-Scenes."""
     sh_degree: int = 3
     """Highest degree of the spherical harmonics, 0 to 4. 3DGS (3)."""
-    sh_degree_interval: int = 1000
-    """Steps after which one more SH degree is used. 3DGS."""
+    sh_degree_interval: Steps = 0.03333
+    """Steps, or share of the run, after which one more SH degree is used. 3DGS: 1000 of 30,000."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
     offload: Literal["auto", "on", "moments", "off"] = "auto"
@@ -349,9 +302,9 @@ class TrainConfig:
     "distortion", what undistorting the images has left, or with --lens direct the lens itself. Held-out frames take
     over what all have in common; their poses are found on the finished scene. "intrinsics" goes with --lens direct:
     images that were undistorted with a wrong focal length stay wrong towards the corners."""
-    refine_from: int = 500
-    """Steps before poses, and the first spectrum's camera, are corrected: as long as there is no scene, images say
-    little of them. Open choice."""
+    refine_from: Steps = 0.01667
+    """Steps, or share of the run, before poses, and the first spectrum's camera, are corrected: as long as there is no
+    scene, images say little of them. Open choice."""
     refine_every: int = 8
     """Steps between two rounds that register the cameras of the other spectra to the scene (rig, focal lengths,
     distortion). Open choice."""

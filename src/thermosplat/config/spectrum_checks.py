@@ -15,7 +15,7 @@ RESERVED = frozenset(
         *("all", "both", "data", "decoders", "evaluation", "exposures", "features", "frame", "gaussians", "loss"),
         *("pixels", "points", "scene", "shared", "spectra", "step", "steps", "train", "test", "visible"),
         *("num_gaussians", "train_seconds", "wall_seconds", "first_step_seconds", "lpips_net", "model_bytes"),
-        *("feature_channels", "opacity_offsets_kept", "point_spreads", "training_views", "remarks"),
+        *("feature_channels", "opacity_offsets_kept", "point_spreads", "training_views", "remarks", "formations"),
         # what torch's ModuleDict and ParameterDict, which hold networks by spectrum, call their own
         *("add_module", "apply", "bfloat16", "buffers", "call_super_init", "children", "clear", "compile", "copy"),
         *("cpu", "cuda", "double", "dump_patches", "eval", "extra_repr", "float", "forward", "fromkeys", "get"),
@@ -31,10 +31,6 @@ RESERVED = frozenset(
     }
 )
 """Names that files, tables and modules use for something else."""
-_AT_LEAST_ZERO = (
-    *("loss", "loss_noise", "features", "smoothness", "smoothness_noise", "smoothness_least"),
-    *("squared", "swept_depth", "point_spread", "point_spread_noise"),
-)
 _SHARES = ("train_from", "train_until")
 _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
 """In a unit's name it says that values are temperatures."""
@@ -83,24 +79,23 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
     def called(field: str) -> str:
         return name(f"spectra.{spectrum}.{field}")
 
-    for field in _AT_LEAST_ZERO:
-        value = getattr(settings, field)
-        if value is not None and value < 0:
-            raise UserError(f"{called(field)} must be zero or positive, found {value}.")
     if settings.point_spread > MOST_POINT_SPREAD:
         raise UserError(f"{called('point_spread')} must be at most {MOST_POINT_SPREAD}, found {settings.point_spread}.")
     for field in _SHARES:
         value = getattr(settings, field)
         if not 0 <= value <= 1:
             raise UserError(f"{called(field)} must lie between 0 and 1, found {value}.")
+    if not settings.factor > 0:
+        raise UserError(f"{called('factor')} must be positive, found {settings.factor}.")
+    for field, number in vars(settings).items():
+        if isinstance(number, int | float) and number < 0:
+            raise UserError(f"{called(field)} must be zero or positive, found {number}.")
     if spectrum in config.modelled and not settings.train_from < settings.train_until:
         raise UserError(
             f"{called('train_from')} {settings.train_from} must be below {called('train_until')} "
             f"{settings.train_until}: no step would train on {label(spectrum)} images.",
             f"To leave them out: --without {spectrum}.",
         )
-    if not settings.factor > 0:
-        raise UserError(f"{called('factor')} must be positive, found {settings.factor}.")
     span = settings.range
     if span is not None and not span[0] < span[1]:
         raise UserError(

@@ -31,7 +31,7 @@ from thermosplat.datasets.large_captures import (
     sampled_frames,
     unread_pixels,
 )
-from thermosplat.datasets.lens import COEFFICIENTS, camera_through_lens, rectified_camera, shrunk
+from thermosplat.datasets.lens import RENDERED, camera_through_lens, rectified_camera, shrunk
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.datasets.placement import Placement
 from thermosplat.datasets.plausible_cameras import check_camera, outlying_notes
@@ -363,7 +363,7 @@ def _untouched_camera(shot: Shot, width: int, height: int) -> Camera:
     if camera is None:
         raise UserError(
             f"The camera of {shot.path.name} is of the model {shot.lens.model}, which --lens direct does not know; it "
-            f"knows {', '.join(COEFFICIENTS)}.",
+            f"knows {', '.join(model for models in RENDERED.values() for model in models)}.",
             "Leave --lens direct out: then images are undistorted.",
         )
     return camera

@@ -5,7 +5,7 @@ camera axes are OpenCV's (x right, y down, z forward); poses are world-to-camera
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ digits the error would be a thousandth of a unit."""
 class LensCoefficients(NamedTuple):
     """How a lens bends its image; coefficients of OpenCV's models, which do not depend on the image's size."""
 
-    model: Literal["pinhole", "fisheye"]
+    model: str
     """The rasterizer's ``camera_model``."""
     radial: tuple[float, float, float, float, float, float]
     """k1 to k6; of a fisheye lens k1 to k4 and zeros."""
@@ -48,6 +48,11 @@ class Camera:
     """k1 and k2 of COLMAP's RADIAL model, where refining found that undistorting left some; None: a pinhole."""
     lens: LensCoefficients | None = None
     """Of images that are as they were taken (``--lens direct``); None: a pinhole."""
+
+    @property
+    def lens_model(self) -> str:
+        """The rasterizer's ``camera_model``: the lens's, or a pinhole."""
+        return "pinhole" if self.lens is None else self.lens.model
 
     @property
     def K(self) -> NDArray[np.float64]:

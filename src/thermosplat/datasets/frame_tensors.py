@@ -33,7 +33,7 @@ class ViewTensors:
         mask: [H, W] bool, where pixels are compared; None: everywhere.
         distortion: [2] float32, k1 and k2 of a lens that is no pinhole (``scene.lens_distortion``).
         lens: [8] float32, k1 to k6, p1 and p2 of the lens that the view is rendered through; None: of none.
-        fisheye: The lens is OpenCV's fisheye model, of k1 to k4.
+        lens_model: What the lens is: the rasterizer's ``camera_model``, "pinhole" without one.
         readout: [2, 4, 4] float32, where lines are read one after the other: the camera's motion from the view's pose
             to that at the first line, and to that at the last (``datasets.readouts``). None: all at once.
         line_order: In which order lines are read, with a readout.
@@ -52,14 +52,14 @@ class ViewTensors:
     distortion: Tensor | None = None
     orthographic: bool = False
     lens: Tensor | None = None
-    fisheye: bool = False
+    lens_model: str = "pinhole"
     readout: Tensor | None = None
     line_order: LineOrder = "top-to-bottom"
     unscented: bool = False
 
     def as_pinhole(self) -> "ViewTensors":
         """The view by a pinhole camera without a lens, which takes its image at once."""
-        return replace(self, distortion=None, lens=None, fisheye=False, readout=None)
+        return replace(self, distortion=None, lens=None, lens_model="pinhole", readout=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ def without_pixels(view: View, device: torch.device | str) -> ViewTensors:
         view.camera.height,
         distortion=distortion_tensor(view.camera, device),
         lens=lens_tensor(view.camera, device),
-        fisheye=has_fisheye(view.camera),
+        lens_model=view.camera.lens_model,
         readout=readout_tensor(view.readout, device),
         line_order="top-to-bottom" if view.readout is None else view.readout.order,
     )
@@ -262,11 +262,6 @@ def lens_tensor(camera: Camera, device: torch.device | str) -> Tensor | None:
 def readout_tensor(readout: Readout | None, device: torch.device | str) -> Tensor | None:
     """The motion of a readout on a device, [2, 4, 4] float32; None of an image that is taken at once."""
     return None if readout is None else torch.tensor(readout.motion, dtype=torch.float32, device=device)
-
-
-def has_fisheye(camera: Camera) -> bool:
-    """Whether a camera's lens is a fisheye lens."""
-    return camera.lens is not None and camera.lens.model == "fisheye"
 
 
 def _intensity(image: NDArray[Any], pixels: Tensor, scale: PixelScale) -> Tensor:

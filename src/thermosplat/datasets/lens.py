@@ -7,7 +7,7 @@ images stay as they are, and the renderer projects through the lens.
 
 import functools
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import cv2  # before pycolmap: imported the other way round, without torch, writing a PNG crashes (two zlibs)
 import numpy as np
@@ -17,19 +17,25 @@ from numpy.typing import NDArray
 from thermosplat.datasets.cameras import Camera, LensCoefficients
 
 PINHOLE_MODELS = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
-COEFFICIENTS: dict[str, tuple[str, ...]] = {
-    "SIMPLE_RADIAL": ("k1",),
-    "RADIAL": ("k1", "k2"),
-    "OPENCV": ("k1", "k2", "p1", "p2"),
-    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    "SIMPLE_FISHEYE": (),
-    "FISHEYE": (),
-    "SIMPLE_RADIAL_FISHEYE": ("k1",),
-    "RADIAL_FISHEYE": ("k1", "k2"),
-    "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+RENDERED: dict[str, dict[str, tuple[str, ...]]] = {
+    "pinhole": {
+        "SIMPLE_RADIAL": ("k1",),
+        "RADIAL": ("k1", "k2"),
+        "OPENCV": ("k1", "k2", "p1", "p2"),
+        "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    },
+    "fisheye": {
+        "SIMPLE_FISHEYE": (),
+        "FISHEYE": (),
+        "SIMPLE_RADIAL_FISHEYE": ("k1",),
+        "RADIAL_FISHEYE": ("k1", "k2"),
+        "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+    },
 }
-"""Parameters behind the intrinsics of the COLMAP models that the renderer projects through (COLMAP's
-sensor/models.h)."""
+"""COLMAP's models that the renderer projects through, by its ``camera_model``, the one with most parameters last: each
+with its parameters behind the intrinsics (COLMAP's sensor/models.h)."""
+_NAMES = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+"""Of ``LensCoefficients``."""
 CUT_PANORAMAS = (
     "Cut them into pinhole images first: COLMAP's example panorama_sfm.py does it and registers them, or "
     "ns-process-data images --camera-type equirectangular."
@@ -176,15 +182,21 @@ def camera_through_lens(lens: Lens, width: int, height: int) -> Camera | None:
     source = lens.colmap_camera()
     if not lens.distorted:
         return _pinhole(source).resized(width, height)
-    if lens.model not in COEFFICIENTS:
+    model = next((model for model, known in RENDERED.items() if lens.model in known), None)
+    if model is None:
         return None
-    names = COEFFICIENTS[lens.model]
-    k = dict.fromkeys(("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"), 0.0)
-    k |= zip(names, lens.params[len(lens.params) - len(names) :], strict=True)
-    model: Literal["pinhole", "fisheye"] = "fisheye" if lens.model.endswith("FISHEYE") else "pinhole"
-    radial = (k["k1"], k["k2"], k["k3"], k["k4"], k["k5"], k["k6"])
-    camera = replace(_pinhole(source), lens=LensCoefficients(model, radial, (k["p1"], k["p2"])))
+    names = RENDERED[model][lens.model]
+    found = dict(zip(names, lens.params[len(lens.params) - len(names) :], strict=True))
+    k1, k2, k3, k4, k5, k6, p1, p2 = (found.get(name, 0.0) for name in _NAMES)
+    camera = replace(_pinhole(source), lens=LensCoefficients(model, (k1, k2, k3, k4, k5, k6), (p1, p2)))
     return camera.resized(width, height)
+
+
+def in_colmaps_words(lens: LensCoefficients) -> tuple[str, list[float]]:
+    """The COLMAP model that has all coefficients of a lens, and its parameters behind the intrinsics."""
+    model, names = list(RENDERED[lens.model].items())[-1]
+    found = dict(zip(_NAMES, (*lens.radial, *lens.tangential), strict=True))
+    return model, [found[name] for name in names]
 
 
 def shrunk(camera: Camera, factor: float) -> Camera:

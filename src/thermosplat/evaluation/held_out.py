@@ -21,6 +21,7 @@ from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.background_writes import background_writes
+from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
@@ -29,7 +30,7 @@ from thermosplat.thermal.radiometry import PixelScale
 Lpips = Callable[[Tensor, Tensor], float | None]
 
 COLUMNS = ("psnr", "ssim", "lpips")
-"""Metrics of every spectrum; measured ones have "mae_<unit>" as well."""
+"""Metrics of every spectrum; measured ones have "mae_<unit>" as well, and a kind of formation may have its own."""
 LARGEST_ERROR = 0.25  # of the value range 0 to 1, at the bright end of error maps
 LARGEST_MEASURED_ERROR = 0.1  # of the range of values, where they are measured
 
@@ -50,6 +51,8 @@ class RenderedView:
     """What pixel values mean."""
     values: Tensor | None
     """[H, W]; where there are measured values."""
+    formation: Formation | None = None
+    """How it was formed; says what else it is judged by."""
 
     @property
     def mask(self) -> Tensor | None:
@@ -91,7 +94,8 @@ def rendered_views(
         if view.image is not None:
             measured = scales[name].measured_unit is not None
             values = view.values if measured else None
-            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values)
+            formation = rendered.formations.get(name)
+            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values, formation)
 
 
 @torch.no_grad()
@@ -118,8 +122,8 @@ def evaluate(
 
     Returns:
         By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>"}``, the last where its values are
-        measured, each the mean over the views that have it, None where none has; None as a whole for a spectrum without
-        held-out views. "spectra" lists their names; "num_gaussians" counts the Gaussians.
+        measured, and ``Formation.scores``, each the mean over the views that have it, None where none has; None as a
+        whole for a spectrum without held-out views. "spectra" lists their names; "num_gaussians" counts the Gaussians.
     """
     rows: list[dict[str, Any]] = []
     with background_writes() as write:
@@ -172,6 +176,8 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
         if result.values is not None:
             error = mean_absolute_error(result.intensity, result.values, result.scale)
             numbers[f"{MAE}{result.scale.unit}"] = error
+    if result.formation is not None:
+        numbers |= result.formation.scores(result.image, result.target, result.mask)
     return {name: _finite(number) for name, number in numbers.items()}
 
 

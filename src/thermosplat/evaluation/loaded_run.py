@@ -221,8 +221,7 @@ def _notes(model: SceneModel) -> tuple[str, ...]:
                 f"{broken:,} of {number:,} Gaussians hold values that are not finite, and are not drawn. The "
                 "checkpoint was damaged before it was written, or edited: take an earlier one with --step."
             )
-    decoders = [] if model.decoders is None else list(model.decoders.parameters())
-    if not all(bool(torch.isfinite(value).all()) for value in decoders):
+    if not all(bool(torch.isfinite(value).all()) for value in model.formations.parameters()):
         notes.append("The decoders hold values that are not finite, and so will the images: take an earlier --step.")
     return tuple(notes)
 

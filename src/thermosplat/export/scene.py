@@ -2,9 +2,8 @@
 
 The model decodes features per pixel, after blending; a PLY holds a colour per Gaussian, before blending. What the file
 carries is therefore an approximation wherever there are decoders: each Gaussian's own features are decoded as if they
-alone filled a pixel (A_f = f). A hybrid photograph adds that decoded colour to the SH colour; other spectra have the
-decoded colour only, seen at their own opacity. Scenes without decoders are exported exactly. ``splat_fit`` makes
-the approximation a better one.
+alone filled a pixel (A_f = f). Each spectrum's formation says what that is (``Formation.harmonics``). Scenes of
+spherical harmonics alone are exported exactly. ``splat_fit`` makes the approximation a better one.
 """
 
 from collections.abc import Iterable, Mapping
@@ -22,7 +21,6 @@ from thermosplat.export.formats.ply import write_splats
 from thermosplat.export.origin_file import origin_text, write_origin
 from thermosplat.export.splat_rendering import OTHERS
 from thermosplat.export.splats import Splats, WrittenSplats, in_world
-from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import label
 from thermosplat.thermal.intensity import palette_colors, pixel_intensity
@@ -127,32 +125,9 @@ def spectrum_splats(model: SceneModel, name: str, scales: Scales, *, colors: Col
             f"It has: {', '.join(model.spectra)}.",
         )
     gaussians = model.gaussians(model.set_of(name))
-    sh0, shN = gaussians.sh_coeffs_of(name)
-    if model.decoders is not None:
-        decoded = decoded_features(model, name, gaussians.features)
-        if name == model.photograph and model.decoder_config.hybrid:
-            sh0 = sh0 + decoded[:, None] / SH_C0
-        else:
-            sh0, shN = _constant_color(shown_colors(decoded, scales[name], colors), shN)
-    columns = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logits_in(name), sh0, shN)
+    harmonics = model.formations[name].harmonics(gaussians, lambda image: shown_colors(image, scales[name], colors))
+    columns = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logits_in(name), *harmonics)
     return Splats(*(column.detach() for column in columns))
-
-
-def decoded_features(model: SceneModel, name: str, features: Tensor) -> Tensor:
-    """What a spectrum's decoder makes of features that fill a pixel alone, [N, C].
-
-    Args:
-        model: A scene with decoders.
-        name: The spectrum.
-        features: As the Gaussians hold them, [N, d] or coordinates [N, r].
-
-    Raises:
-        ValueError: The scene has no decoders.
-    """
-    if model.decoders is None:
-        raise ValueError("This scene has no decoders.")
-    expanded = model.gaussians(model.set_of(name)).expanded(features)
-    return model.decoders.image(name, model.decoder_input(None, expanded))
 
 
 def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -> Tensor:
@@ -171,6 +146,7 @@ def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -
     return palette_colors(intensity, scale.palette).to(image)
 
 
+@torch.no_grad()
 def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
     """What each Gaussian measures in a spectrum [its unit], [N]: decoded from its own features, or from its harmonics.
 
@@ -182,17 +158,8 @@ def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
     Raises:
         ValueError: The spectrum has no unit.
     """
-    splats = spectrum_splats(model, name, scales)
-    shown = (0.5 + SH_C0 * splats.sh0[:, 0]).clamp(0, 1)
-    scale = scales[name]
-    if scale.kind == "scalar" and model.decoders is None:
-        return torch.as_tensor(scale.value(shown.mean(dim=-1)))
-    return torch.as_tensor(scale.value(torch.as_tensor(scale.palette.to_intensity(shown.cpu().numpy()))))
-
-
-def _constant_color(color: Tensor, shN: Tensor) -> tuple[Tensor, Tensor]:
-    """SH coefficients of a colour [N, 3] that is the same from everywhere."""
-    return (color[:, None] - 0.5) / SH_C0, torch.zeros_like(shN)
+    image = model.formations[name].image_of(model.gaussians(model.set_of(name)))
+    return torch.as_tensor(scales[name].value(pixel_intensity(image, scales[name])))
 
 
 def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: Colors = "palette") -> list[str]:
@@ -207,10 +174,11 @@ def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: 
     comments = [f"thermosplat {name}"]
     if model.placement.is_moved:
         comments.append(f"origin {origin_text(model.placement)}: to be added to positions for those of the capture")
-    if model.decoders is not None:
+    exact = model.formations[name].exact_splats
+    if not exact:
         comments.append("colors approximate the model, which decodes features per pixel, after blending")
     if scale.kind != "photograph":
-        if colors == "palette" and (scale.kind == "color" or model.decoders is not None):
+        if colors == "palette" and (scale.kind == "color" or not exact):
             stops = np.rint(255 * scale.palette.to_color(np.linspace(0.0, 1.0, 9))).astype(int)
             listed = " ".join(f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in stops)
             comments.append(f"{name}_palette lowest to highest: {listed}")

@@ -1,21 +1,23 @@
-"""The training loss: image terms of all spectra, feature terms, smoothness (docs/method.md, equations 9-13).
+"""The training loss: what the spectra's formations compare, and smoothness (docs/method.md, equations 9-13).
 
 Images are [H, W, C] in [0, 1]; renders are the raw, unclamped ones.
 
 The SSIM term is 1 - SSIM, as in 3DGS. kornia's ready-made loss is half of that and would halve λ_s silently.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
-from kornia.losses import total_variation
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
 from thermosplat.image_quality.ssim import ssim_map
+from thermosplat.losses.spectrum_losses import SPECTRUM_LOSSES
+from thermosplat.scene.formations.image_terms import LossTerm, masked
+from thermosplat.scene.formations.image_terms import image_terms as terms_of_image
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.spectra import latent_channels
 
@@ -65,32 +67,43 @@ def compare_frame(
             on CUDA the first, on the CPU, where they are faster, the second.
 
     Returns:
-        Terms in this order: the image of each spectrum by its name, "features_<spectrum>" of each, and
-        "<spectrum>_smoothness" of each.
+        Terms in this order: the image of each spectrum by its name, "features_<spectrum>" of each, what formations
+        compare beside that, and "<spectrum>_<field>" of each of ``SPECTRUM_LOSSES``.
     """
-    terms = image_terms(rendered, frame, config)
+    asked = _losses_of_spectra(rendered, frame, config)
+    terms = _of_images_first(asked)
     if fused is None:
         fused = bool(terms) and all(term.image.is_cuda for term in terms)
-    smoothed = {
-        name: spectrum.smoothness
-        for name, spectrum in config.modelled.items()
-        if name in rendered.images and spectrum.smoothness > 0
-    }
     ssim_lambda = config.loss.ssim_lambda
+    smoothed = {name: one.smoothness for name, one in config.modelled.items() if one.smoothness > 0}
     found = _fused(terms, ssim_lambda, smoothed) if fused else _Found(_filtered(terms, ssim_lambda), {})
     losses = {term.name: found.losses[term.name] for term in terms}
-    spectra = {term.name: term.spectrum for term in terms}
-    for name, weight in smoothed.items():
-        loss = found.losses.get(_smoothness_name(name))
-        losses[_smoothness_name(name)] = weight * smoothness(rendered.images[name]) if loss is None else loss
-        spectra[_smoothness_name(name)] = name
+    losses |= {one.name: one.loss for losses in asked.values() for one in losses if isinstance(one, LossTerm)}
+    owners = {one.name: name for name, losses in asked.items() for one in losses}
+    spectra = {term: owners[term] for term in losses}
     errors = {}
+    for name, image, view, target in _seen(rendered, frame, config):
+        known = found.squared_errors.get(name) if view.mask is None else None
+        errors[name] = squared_error(image, target, view.mask) if known is None else known
+    for field, loss_of in SPECTRUM_LOSSES.items():
+        for name, image, view, target in _seen(rendered, frame, config):
+            weight, term = getattr(config.modelled[name], field), f"{name}_{field}"
+            if weight > 0:
+                pair = (image, target) if view.mask is None else masked(image, target, view.mask)
+                loss = found.losses.get(term)
+                losses[term] = weight * loss_of(*pair) if loss is None else loss
+                spectra[term] = name
+    return ComparedFrame(losses, spectra, errors)
+
+
+def _seen(
+    rendered: RenderedFrame, frame: "FrameTensors", config: TrainConfig
+) -> Iterator[tuple[str, Tensor, "ViewTensors", Tensor]]:
+    """The spectra that are both rendered and photographed: name, render, view and its image."""
     for name in config.modelled:
         image, view = rendered.images.get(name), frame.views.get(name)
         if image is not None and view is not None and view.image is not None:
-            known = found.squared_errors.get(name) if view.mask is None else None
-            errors[name] = squared_error(image, view.image, view.mask) if known is None else known
-    return ComparedFrame(losses, spectra, errors)
+            yield name, image, view, view.image
 
 
 @torch.no_grad()
@@ -108,80 +121,37 @@ def squared_error(image: Tensor, target: Tensor, mask: Tensor | None = None) -> 
     return torch.where(mask[..., None], squares, 0.0).sum() / (mask.sum().clamp(min=1) * image.shape[-1])
 
 
-def masked(image: Tensor, target: Tensor, mask: Tensor, first: int = 0) -> tuple[Tensor, Tensor]:
-    """An image and its target for losses that shall not see some pixels.
-
-    There the image gets no gradient, and the target is the image, which leaves no difference to any loss; a window of
-    SSIM that reaches beyond a mask's edge sees the same on both sides.
-
-    Args:
-        image: [H, W, X].
-        target: [H, W, C].
-        mask: bool [H, W], which pixels count.
-        first: The target is compared with the image's channels from this one on.
-    """
-    counts, held = mask[..., None], image.detach()
-    seen = held[..., first : first + target.shape[-1]].clamp(0.0, 1.0)
-    return torch.where(counts, image, held), torch.where(counts, target, seen)
-
-
-def _smoothness_name(spectrum: str) -> str:
-    return f"{spectrum}_smoothness"
-
-
-def smoothness(image: Tensor) -> Tensor:
-    """Mean over pixels and channels of |∂x| + |∂y|, forward differences without wrap-around (equation 12).
-
-    Normalised by H·W·C, as ThermalGaussian does; kornia's own mean would divide each direction by the number of its
-    differences instead.
-
-    Args:
-        image: Image, shape [H, W, C].
-
-    Returns:
-        The smoothness term, a scalar.
-    """
-    return total_variation(image.permute(2, 0, 1), reduction="sum").sum() / image.numel()
-
-
-@dataclass(frozen=True, eq=False)
-class SpectrumTerm(ImageTerm):
-    """An image loss of one spectrum."""
-
-    spectrum: str = ""
-
-
-def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainConfig) -> list[SpectrumTerm]:
-    """The image losses that apply to a frame (equations 10 and 11).
+def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainConfig) -> list[ImageTerm]:
+    """The image losses that apply to a frame (equations 10 and 11): first those of images, then those of features.
 
     Args:
         rendered: The render.
         frame: The frame.
         config: Weights; what has none is left out.
     """
-    latent = latent_channels(config.modelled)
-    images, features = [], []
-    for name, spectrum in config.modelled.items():
-        view = frame.views.get(name)
+    return _of_images_first(_losses_of_spectra(rendered, frame, config))
+
+
+def _losses_of_spectra(
+    rendered: RenderedFrame, frame: "FrameTensors", config: TrainConfig
+) -> dict[str, list[ImageTerm | LossTerm]]:
+    """What each spectrum is compared by, as its formation says."""
+    latent, found = latent_channels(config.modelled), {}
+    for name, settings in config.modelled.items():
+        view, formation = frame.views.get(name), rendered.formations.get(name)
         if view is None:
             continue
-        image = rendered.images.get(name)
-        if spectrum.loss > 0 and image is not None and view.image is not None:
-            compared, truth = (image, view.image) if view.mask is None else masked(image, view.image, view.mask)
-            images.append(SpectrumTerm(name, spectrum.loss, compared, truth, 0, spectrum.squared, name))
-        weight = config.loss.features * (spectrum.features or 0.0)
-        blended, target = rendered.features.get(name), _supervising(view)
-        if weight > 0 and blended is not None and target is not None:
-            first = latent[name][0]
-            if view.mask is not None:
-                blended, target = masked(blended, target, view.mask, first)
-            features.append(SpectrumTerm(f"features_{name}", weight, blended, target, first, spectrum=name))
-    return [*images, *features]
+        if formation is None:
+            found[name] = terms_of_image(name, latent[name][0], rendered, view, settings, config.loss)
+        else:
+            found[name] = formation.losses(rendered, view, settings, config.loss)
+    return found
 
 
-def _supervising(view: "ViewTensors") -> Tensor | None:
-    """What latent channels are compared with, [H, W, C]: the intensity, or of a photograph the colours."""
-    return view.image if view.intensity is None else view.intensity[..., None]
+def _of_images_first(asked: dict[str, list[ImageTerm | LossTerm]]) -> list[ImageTerm]:
+    """The image losses of all spectra, before those of features, which are called by another name."""
+    terms = [one for losses in asked.values() for one in losses if isinstance(one, ImageTerm)]
+    return sorted(terms, key=lambda term: term.name not in asked)
 
 
 @dataclass(frozen=True)
@@ -192,7 +162,7 @@ class _Found:
     squared_errors: dict[str, Tensor]
 
 
-def _fused(terms: Sequence[SpectrumTerm], ssim_lambda: float, smoothed: dict[str, float]) -> _Found:
+def _fused(terms: Sequence[ImageTerm], ssim_lambda: float, smoothed: dict[str, float]) -> _Found:
     """All terms of images of one size by one call of Warp's kernels, and with one of them its smoothness.
 
     Args:
@@ -215,7 +185,7 @@ def _fused(terms: Sequence[SpectrumTerm], ssim_lambda: float, smoothed: dict[str
         losses |= dict(zip(names, found.losses, strict=True))
         errors |= dict(zip(names, found.squared_errors, strict=True))
         if first is not None:
-            losses[_smoothness_name(first)] = found.smoothness
+            losses[f"{first}_smoothness"] = found.smoothness
     return _Found(losses, errors)
 
 

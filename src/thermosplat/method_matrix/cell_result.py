@@ -132,7 +132,10 @@ def _as_today(values: dict[str, Any], path: Path) -> dict[str, Any]:
         for row in values.get("per_view", [])
     ]
     # Settings that 0.1 did not have get their defaults, so that its matrices can be gone on with.
-    made_with = _filled(settings(TrainConfig()), _settings_of_today(values.get("settings", {}), path))
+    made_with = _settings_of_today(values.get("settings", {}), path)
+    steps = made_with.get("max_steps")
+    defaults = TrainConfig(max_steps=steps) if isinstance(steps, int) else TrainConfig()
+    made_with = _filled(settings(defaults), made_with)
     return values | {"format": FORMAT, "spectra": spectra, "per_view": per_view, "settings": made_with}
 
 

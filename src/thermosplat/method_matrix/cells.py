@@ -8,6 +8,7 @@ from typing import Any
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import data_from_anywhere, load_config, preset_paths, to_dict, with_given_steps
+from thermosplat.config.run_schedule import in_steps
 from thermosplat.errors import UserError
 
 REFERENCE_STEPS = 30_000
@@ -135,7 +136,7 @@ def cell_config(
 
 def settings(config: TrainConfig) -> dict[str, Any]:
     """What a cell computes, as JSON has it: two cells with equal settings may stand for each other."""
-    values = {name: value for name, value in to_dict(config).items() if name not in _NOT_SETTINGS}
+    values = {name: value for name, value in to_dict(in_steps(config)).items() if name not in _NOT_SETTINGS}
     return json.loads(json.dumps(values))  # tuples become lists, as in a file
 
 

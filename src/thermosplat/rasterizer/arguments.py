@@ -1,7 +1,7 @@
 """Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
 
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import torch
 from torch import Tensor
@@ -10,12 +10,16 @@ from thermosplat.errors import UserError
 from thermosplat.rasterizer.checked_numbers import checked_limits, checked_sizes, remembered
 from thermosplat.rasterizer.graph_breaks import refuse_transforms
 from warp_kernels.constants import SH_DEGREE_MAX, TILE_SIZES
+from warp_kernels.projection.plain_cameras import CameraModel as PlainCameraModel
 from warp_kernels.projection.projection import ProjectionSettings
 from warp_kernels.projection.unscented_ellipse import ALPHA, BETA
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED", "d", "Ed", "RGB-d", "RGB-Ed"]
 RasterizeMode = Literal["classic", "antialiased"]
 CameraModel = Literal["pinhole", "ortho", "fisheye", "ftheta"]
+
+PLAIN_MODELS = get_args(PlainCameraModel)
+"""Cameras that are linearised where nothing asks for the unscented transform."""
 
 INDEX_MAX = 2**31
 """Kernels number (image, Gaussian) pairs and rows of images with 32 bits."""
@@ -339,6 +343,6 @@ def _settings(
         num_images=images,
         **limits,
         antialiased=rasterize_mode == "antialiased",
-        # f-theta cameras have lenses, whose kernels do not read this
-        camera_model="pinhole" if camera_model == "ftheta" else camera_model,
+        # the others have lenses, whose kernels do not read this
+        camera_model=cast("PlainCameraModel", camera_model if camera_model in PLAIN_MODELS else "pinhole"),
     )

@@ -3,17 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple, cast, get_args
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.arguments import check_shape
+from thermosplat.rasterizer.arguments import PLAIN_MODELS, check_shape
 from thermosplat.rasterizer.shutter_poses import motions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel
 from warp_kernels.projection.lens_step import LensSettings
-from warp_kernels.projection.plain_cameras import CameraModel as PlainCameraModel
 
 TAKES: dict[str, tuple[str, ...]] = {
     "pinhole": ("radial_coeffs", "tangential_coeffs", "thin_prism_coeffs"),
@@ -23,8 +22,8 @@ TAKES: dict[str, tuple[str, ...]] = {
 }
 """The coefficients that each camera model takes."""
 
-PLAIN_MODELS = get_args(PlainCameraModel)
-"""Cameras that are linearised where nothing asks for the unscented transform."""
+RADIAL_COUNTS = {"pinhole": (6, 4), "fisheye": (4,)}
+"""How many radial ones; the first is all that there are."""
 
 POLYNOMIAL = 6
 """Coefficients of f-theta's polynomials."""
@@ -174,10 +173,10 @@ def _check_coefficients(camera_model: str, given: dict[str, Any], lead: tuple[in
             raise UserError(f"camera_model={camera_model!r} does not take {name}; it {others}.", f"Leave {name} out.")
     radial = given["radial_coeffs"]
     if radial is not None:
-        counts = (4,) if camera_model == "fisheye" else (6, 4)
+        counts = RADIAL_COUNTS[camera_model]
         found = radial.shape[-1] if isinstance(radial, Tensor) and radial.dim() > 0 else 0
         count = found if found in counts else counts[0]
-        check_shape("radial_coeffs", radial, (*lead, count), means, "[..., C, 4]" if count == 4 else "[..., C, 6]")
+        check_shape("radial_coeffs", radial, (*lead, count), means, f"[..., C, {count}]")
     for name, count in (("tangential_coeffs", 2), ("thin_prism_coeffs", 4)):
         if given[name] is not None:
             check_shape(name, given[name], (*lead, count), means, f"[..., C, {count}]")

@@ -31,7 +31,7 @@ from torch import Tensor, nn
 from thermosplat.config import Refined
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.capture import Capture, Frame, View
-from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, has_fisheye, lens_tensor
+from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, lens_tensor
 from thermosplat.refinement.camera_motion import moved_camera, moved_frame, with_focal_factor
 from thermosplat.refinement.preconditioning import normal_matrix, points_in_view, preconditioner
 
@@ -42,6 +42,10 @@ DISTORTION: Refined = "distortion"
 
 MOTION, FOCAL, COEFFICIENTS, SIZE = slice(0, 6), 6, slice(7, 9), 9
 """Where in a camera's correction its parts are, and how many numbers it has."""
+RATES = {"poses": (1e-4, 2.5e-6), "cameras": (1.5e-3, 5e-6)}
+"""Adam's learning rates in the first step and, after an exponential decay, in the last one, in widths of the images:
+of the frames' poses, and of the cameras that gradients reach, which are the first spectrum's distortion or the only
+one's focal lengths: more, since few steps look at them. Open choice."""
 LOOKED_AT = 32
 """Frames, spread over all, that say how a camera's numbers move its images."""
 
@@ -271,7 +275,7 @@ def camera_tensors(view: View) -> ViewTensors:
         camera.height,
         distortion=distortion,
         lens=None if lens is None else lens.double(),
-        fisheye=has_fisheye(camera),
+        lens_model=camera.lens_model,
         readout=None if view.readout is None else torch.from_numpy(view.readout.motion),
         line_order="top-to-bottom" if view.readout is None else view.readout.order,
     )

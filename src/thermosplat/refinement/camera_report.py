@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.lens import in_colmaps_words
 from thermosplat.refinement.camera_corrections import (
     COEFFICIENTS,
     DISTORTION,
@@ -135,11 +136,9 @@ def _lens(camera: Camera) -> str:
     """A camera in the words of COLMAP: its lens, PINHOLE, or OPENCV where undistorting left some distortion."""
     lens = [camera.fx, camera.fy, camera.cx, camera.cy]
     model = "PINHOLE"
-    if camera.lens is not None and camera.lens.model == "fisheye":
-        model, lens = "OPENCV_FISHEYE", [*lens, *camera.lens.radial[:4]]
-    elif camera.lens is not None:
-        k1, k2, *others = camera.lens.radial
-        model, lens = "FULL_OPENCV", [*lens, k1, k2, *camera.lens.tangential, *others]
+    if camera.lens is not None:
+        model, bent = in_colmaps_words(camera.lens)
+        lens += bent
     elif camera.distortion is not None:
         model, lens = "OPENCV", [*lens, *camera.distortion, 0.0, 0.0]
     return f"{model} {camera.width} {camera.height} {' '.join(map(repr, lens))}"

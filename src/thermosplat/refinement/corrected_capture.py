@@ -88,7 +88,7 @@ def _lens(tensors: ViewTensors) -> LensCoefficients | None:
     if tensors.lens is None:
         return None
     k1, k2, k3, k4, k5, k6, p1, p2 = tensors.lens.tolist()
-    return LensCoefficients("fisheye" if tensors.fisheye else "pinhole", (k1, k2, k3, k4, k5, k6), (p1, p2))
+    return LensCoefficients(tensors.lens_model, (k1, k2, k3, k4, k5, k6), (p1, p2))
 
 
 def _pair(coefficients: Tensor) -> tuple[float, float]:

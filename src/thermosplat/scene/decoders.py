@@ -6,18 +6,25 @@ context, so any leading shape works; [H, W, ...] is written for it.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.point_spread import PointSpreads
-from thermosplat.spectra import Spectrum
+from thermosplat.scene.decoder import Decoder
+from thermosplat.spectra import Spectrum, first_photograph
+
+HIDDEN_LAYERS = 2
+"""Layers of the shared encoder, or of a spectrum's own network before the last, each followed by SiLU. Open choice:
+ThermoSplat has "multiple pixel-wise linear layers", MS-Splatting one before a hidden layer and that."""
+HYBRID_BIAS = -4.0
+"""First bias of the layer whose image is added to SH colours, so that the sum starts at these: sigmoid(-4) = 0.018.
+Open choice."""
 
 
-class Decoders(nn.Module):
+class Decoders(Decoder):
     """Shared encoder, and for every spectrum a prior or a modulation by another one's prior, and a head.
 
     Attributes:
@@ -26,7 +33,6 @@ class Decoders(nn.Module):
         modulations: By the spectrum that is modulated, Φ_mod, h_p -> [γ, β], linear; starts as the identity, γ = 1 and
             β = 0. Empty without modulation.
         heads: By spectrum, hidden -> channels, linear; a sigmoid follows.
-        point_spreads: How the cameras blur the features before anything is decoded.
 
     Args:
         config: Widths and ablation switches.
@@ -37,7 +43,7 @@ class Decoders(nn.Module):
     def __init__(self, config: DecoderConfig, feature_dim: int, spectra: Sequence[Spectrum]) -> None:
         super().__init__()
         hidden = config.hidden_dim
-        widths = [feature_dim] + [hidden] * config.hidden_layers
+        widths = [feature_dim] + [hidden] * HIDDEN_LAYERS
         layers: list[nn.Module] = []
         for width_in, width_out in itertools.pairwise(widths):
             layers += [nn.Linear(width_in, width_out), nn.SiLU()]
@@ -45,7 +51,6 @@ class Decoders(nn.Module):
         self.priors = nn.ModuleDict()
         self.modulations = nn.ModuleDict()
         self.heads = nn.ModuleDict()
-        self.point_spreads = PointSpreads(spectra)
         self.modulated_by = {spectrum.name: spectrum.modulated_by for spectrum in spectra}
         for spectrum in spectra:
             prior = spectrum.modulated_by or spectrum.name
@@ -54,28 +59,12 @@ class Decoders(nn.Module):
             if spectrum.modulated_by is not None and config.modulation:
                 self.modulations[spectrum.name] = _identity_modulation(hidden)
             self.heads[spectrum.name] = head = nn.Linear(hidden, spectrum.channels)
-            if may_be_hybrid(spectrum, spectra):
+            if spectrum.name == first_photograph(spectra):
                 # With the hybrid sum the decoded part starts near black, so that the sum starts at the SH colour.
-                nn.init.constant_(head.bias, config.hybrid_bias if config.hybrid else 0.0)
-
-    def decode(self, features: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The decoded images of some spectra.
-
-        Args:
-            features: A_f by spectrum, shape [H, W, d].
-
-        Returns:
-            Colours or intensities in (0, 1) by spectrum, shape [H, W, channels].
-        """
-        # One pass of all through the layers they share would copy the gradients of every hidden channel together.
-        return {name: self.image(name, rendered) for name, rendered in features.items()}
+                nn.init.constant_(head.bias, HYBRID_BIAS if config.hybrid else 0.0)
 
     def image(self, spectrum: str, features: Tensor) -> Tensor:
-        """The decoded image of one spectrum; arguments and result as of ``decode``.
-
-        Raises:
-            KeyError: The decoders were made without that spectrum.
-        """
+        """As of ``Decoder``."""
         head, encoded = self.heads[spectrum], self.shared_encoder(features)
         prior = self.modulated_by[spectrum]
         if prior is None:
@@ -86,16 +75,6 @@ class Decoders(nn.Module):
             (w_gamma, w_beta), (b_gamma, b_beta) = (p.chunk(2) for p in (modulation.weight, modulation.bias))  # type: ignore[operator]
             encoded = F.linear(h_p, w_gamma, b_gamma) * encoded + F.linear(h_p, w_beta, b_beta)
         return torch.sigmoid(head(encoded))
-
-
-def may_be_hybrid(spectrum: Spectrum, spectra: Sequence[Spectrum]) -> bool:
-    """Whether a spectrum's image may be the SH render plus the decoded part: of a photograph that comes first.
-
-    Args:
-        spectrum: One of the spectra.
-        spectra: All of the set, in order.
-    """
-    return spectrum.is_photograph and spectrum.name == spectra[0].name
 
 
 def _identity_modulation(hidden: int) -> nn.Linear:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from thermosplat.distributed.collectives import tensors_of_all
 from thermosplat.fused.depth_spread import features_and_spread, with_depth_moments
+from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
@@ -24,7 +25,7 @@ def blend_features(
     view: "ViewTensors",
     rendering: Rendering,
     rendered: RenderedFrame,
-) -> tuple[dict[str, Tensor], Tensor | None]:
+) -> dict[str, Blended]:
     """Features as spectra of one camera see them, each at its opacity, in as few traversals as possible.
 
     One traversal has SH colours and features at α, and features at one more opacity. Each opacity that is left takes a
@@ -33,27 +34,24 @@ def blend_features(
     Args:
         gaussians: A set that has features.
         names: The spectra.
-        photograph: The spectrum whose image has SH colours in it; None where there is none.
+        photograph: The one of them that takes SH colours; None: none does.
         view: Their camera and pose.
         rendering: How.
-        rendered: Takes accumulated opacities, depths, their spreads, and what rasterizations say about their calls.
+        rendered: Takes the spreads of depths, and what rasterizations say about their calls.
 
     Returns:
-        Features by spectrum, [H, W, d] each, and SH colours [H, W, 3], None unless the photograph is among the spectra.
+        What was blended, by spectrum.
     """
     values = _blended_values(gaussians, view, rendering)
     own_opacity = [name for name in names if name in gaussians.second_opacities]
     at_alpha = [name for name in names if name not in own_opacity]
-    colors: Tensor | None = None
-    features: dict[str, Tensor] = {}
+    blended: dict[str, Blended] = {}
 
-    def keep(seen_by: Sequence[str], image: Tensor, alpha: Tensor) -> None:
-        split, spreads = _split_features(gaussians, image, alpha, rendering)
+    def keep(seen_by: Sequence[str], image: Tensor, alpha: Tensor, colors: Tensor | None = None) -> None:
+        features, log_depth = _split_features(gaussians, image, alpha, rendering, rendered)
         for name in seen_by:
-            features[name], rendered.alphas[name] = split, alpha
-            if rendering.depth_spread_limit is not None:
-                rendered.log_depths[name] = image[..., -2:-1]
-        rendered.depth_spreads += spreads
+            of_spectrum = colors if name == photograph else None
+            blended[name] = Blended(view, alpha, features, of_spectrum, log_depth, rendering.background)
 
     def render_alone(seen_by: Sequence[str], logit_opacities: Tensor) -> None:
         image, alpha, info = render_view(gaussians, values, logit_opacities, view, rendering)
@@ -61,12 +59,12 @@ def blend_features(
         if not rendering.geometry_held:
             rendered.note_call(SHARED, seen_by, info)
 
-    if photograph in at_alpha:
+    if photograph is not None:
         second = own_opacity.pop(0) if own_opacity else None
         output = render_two_opacities(gaussians, second, values, view, rendering)
         # squeeze, not [0], whose gradient would be copied into zeros
         colors = output.render_colors.squeeze(0)
-        keep(at_alpha, output.render_features.squeeze(0), output.render_alphas.squeeze(0))
+        keep(at_alpha, output.render_features.squeeze(0), output.render_alphas.squeeze(0), colors)
         if second is not None:
             keep([second], output.render_thermal_features.squeeze(0), output.render_thermal_alphas.squeeze(0))  # type: ignore[union-attr]
         rendered.note_call(SHARED, [*at_alpha, *([] if second is None else [second])], output.info)
@@ -74,15 +72,15 @@ def blend_features(
         render_alone(at_alpha, gaussians.logit_opacities)
     for name in own_opacity:
         render_alone([name], gaussians.logits_in(name))
-    return features, colors
+    return blended
 
 
 def _blended_values(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:
-    """Features [N, d] or their coordinates [N, r], and log-depth where its spread is asked for.
+    """Features [N, d] or their coordinates [N, r], and log-depth and its square where depths are asked for.
 
     Where the set is divided over ranks, with log-depth in each rank's view, [W, N, ...].
     """
-    if rendering.depth_spread_limit is None:
+    if not rendering.blends_depth:
         return gaussians.features
     means = gaussians.means.detach() if rendering.geometry_held else gaussians.means
     if not rendering.distributed:
@@ -92,10 +90,14 @@ def _blended_values(gaussians: Gaussians, view: "ViewTensors", rendering: Render
 
 
 def _split_features(
-    gaussians: Gaussians, image: Tensor, alpha: Tensor, rendering: Rendering
-) -> tuple[Tensor, list[Tensor]]:
-    """Features [H, W, d] of an image of ``_blended_values``, and the spread of depths, a scalar, where asked for."""
+    gaussians: Gaussians, image: Tensor, alpha: Tensor, rendering: Rendering, rendered: RenderedFrame
+) -> tuple[Tensor, Tensor | None]:
+    """Features [H, W, d] of an image of ``_blended_values``, and Σ w log z [H, W, 1]; the frame takes its spread."""
+    if not rendering.blends_depth:
+        return gaussians.expanded(image), None
+    log_depth = image[..., -2:-1]
     if rendering.depth_spread_limit is None:
-        return gaussians.expanded(image), []
-    blended, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
-    return gaussians.expanded(blended), [spread]
+        return gaussians.expanded(image[..., :-2]), log_depth
+    features, spread = features_and_spread(image, alpha, rendering.depth_spread_limit)
+    rendered.depth_spreads.append(spread)
+    return gaussians.expanded(features), log_depth

@@ -10,7 +10,7 @@ own is called by its name: ``thermal_opacity_offsets``, ``logit_thermal_opacitie
 import math
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -22,11 +22,17 @@ from thermosplat.errors import UserError
 from thermosplat.scene.neighbor_distances import NUM_NEIGHBORS, neighbor_distances
 from thermosplat.spectra import Spectrum
 
+if TYPE_CHECKING:
+    from thermosplat.scene.formations.formation import Formation
+
 SH_C0 = 0.5 / math.sqrt(math.pi)
 """The constant spherical harmonic of degree 0: a colour c in [0, 1] is stored as sh0 = (c - 0.5) / SH_C0."""
 
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)
 """Luma of an RGB colour, ITU-R BT.601."""
+
+FEATURE_NOISE = 0.2
+"""Standard deviation of the first features that have no colour to start from. Open choice: MS-Splatting's."""
 
 OFFSETS = "_opacity_offsets"
 """End of the name of a spectrum's opacity offsets."""
@@ -54,6 +60,32 @@ class StoredOpacity(NamedTuple):
     """[N]; None: the spectrum has α."""
     is_offset: bool
     """Whether they are offsets to the logits of α, or logits themselves."""
+
+
+class PointColors(NamedTuple):
+    """What is known of sparse points before training, and what Gaussians begin with for a spectrum."""
+
+    colors: Tensor
+    """RGB in [0, 1], [M, 3]."""
+    luma: Tensor
+    """The same in grey, [M, 1]."""
+    num_bases: int
+    """Spherical harmonics above degree 0, K - 1."""
+
+    @classmethod
+    def of(cls, colors: NDArray[np.uint8], sh_degree: int) -> "PointColors":
+        """Of 8-bit colours [M, 3], and the highest degree of the spherical harmonics."""
+        known = torch.as_tensor(np.asarray(colors, dtype=np.float32) / 255.0)
+        return cls(known, (known @ torch.tensor(LUMA_WEIGHTS))[:, None], (sh_degree + 1) ** 2 - 1)
+
+    def in_spectrum(self, spectrum: Spectrum) -> Tensor:
+        """What a spectrum is taken to see: photographs the colours [M, 3], others the luma [M, 1]."""
+        return self.colors if spectrum.is_photograph else self.luma
+
+    def harmonics(self, spectrum: Spectrum) -> tuple[Tensor, Tensor]:
+        """SH coefficients of that, [M, 1, 3] of degree 0, and zeros [M, K-1, 3]."""
+        known = self.in_spectrum(spectrum).expand(-1, 3)
+        return ((known - 0.5) / SH_C0)[:, None, :], torch.zeros(len(known), self.num_bases, 3)
 
 
 class Gaussians(nn.Module):
@@ -193,7 +225,7 @@ class Gaussians(nn.Module):
         config: ModelConfig,
         sh_degree: int,
         generator: torch.Generator,
-        spectra: Sequence[Spectrum],
+        formations: Sequence["Formation"],
     ) -> "Gaussians":
         """Gaussians at sparse points: round, faint, of the points' colours.
 
@@ -206,8 +238,8 @@ class Gaussians(nn.Module):
             config: Says which parameters there are and how they start.
             sh_degree: Highest degree of the spherical harmonics, 0 to 3.
             generator: Source of the random features, on the CPU.
-            spectra: The spectra that the set renders, at least one. Photographs start in the points' colours, others
-                grey, from the points' luma.
+            formations: Of the spectra that the set renders, at least one. Photographs start in the points' colours,
+                others grey, from the points' luma.
 
         Returns:
             M Gaussians on the CPU.
@@ -217,39 +249,26 @@ class Gaussians(nn.Module):
         """
         _check_points(points)
         num_points = len(points)
-        point_colors = torch.as_tensor(np.asarray(colors, dtype=np.float32) / 255.0)
-        luma = point_colors @ torch.tensor(LUMA_WEIGHTS)
-
-        def sh0_of(spectrum: Spectrum) -> Tensor:
-            known = point_colors if spectrum.is_photograph else luma[:, None].expand(-1, 3)
-            return ((known - 0.5) / SH_C0)[:, None, :]
-
-        log_distances = torch.as_tensor(np.log(neighbor_distances(points) * config.init_scale))
+        known = PointColors.of(colors, sh_degree)
+        spectra = [formation.spectrum for formation in formations]
+        sh0, shN = known.harmonics(spectra[0])
+        log_distances = torch.as_tensor(np.log(neighbor_distances(points)))
         parameters = {
             "means": torch.as_tensor(np.array(points, dtype=np.float32)),
             "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(num_points, 1),
             "log_scales": log_distances[:, None].repeat(1, 3),
             "logit_opacities": torch.logit(torch.full((num_points,), config.init_opacity)),
-            "sh0": sh0_of(spectra[0]),
-            "shN": torch.zeros(num_points, (sh_degree + 1) ** 2 - 1, 3),
+            "sh0": sh0,
+            "shN": shN,
         }
         if config.feature_dim > 0:
             # Channels that are supervised as colours or intensities start as such.
-            known = torch.cat(
-                [
-                    (point_colors if spectrum.is_photograph else luma[:, None])[
-                        :, : spectrum.latent[1] - spectrum.latent[0]
-                    ]
-                    for spectrum in spectra
-                ],
-                dim=1,
-            )
-            noise = torch.randn(num_points, config.feature_dim - known.shape[1], generator=generator)
-            parameters["features"] = torch.cat([known, config.feature_noise * noise], dim=1)
-        else:
-            for spectrum in spectra[1:]:
-                first, higher = sh_names(spectrum.name)
-                parameters[first], parameters[higher] = sh0_of(spectrum), torch.zeros_like(parameters["shN"])
+            started = [known.in_spectrum(one)[:, : one.latent[1] - one.latent[0]] for one in spectra]
+            others = config.feature_dim - sum(channels.shape[1] for channels in started)
+            noise = torch.randn(num_points, others, generator=generator)
+            parameters["features"] = torch.cat([*started, FEATURE_NOISE * noise], dim=1)
+        for place, formation in enumerate(formations):
+            parameters |= formation.initial(known, is_first=place == 0)
         for spectrum in spectra[1:]:
             if spectrum.opacity == "own":
                 parameters[own_logits_name(spectrum.name)] = parameters["logit_opacities"].clone()

@@ -1,10 +1,9 @@
-"""Spectra of one camera from their spherical harmonics: in which traversals they are rendered."""
+"""SH colours of a set without features, as the spectra of one camera see them: in which traversals they are blended."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from torch import Tensor
-
+from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
 
 
-def render_harmonics(
+def blend_harmonics(
     sets: Mapping[str, Gaussians],
     spectra: Sequence[Spectrum],
     view: "ViewTensors",
@@ -23,17 +22,21 @@ def render_harmonics(
     rendered: RenderedFrame,
     *,
     leading: str,
-) -> None:
-    """Images of spectra without features: the first two of a shared set by one traversal, the others one by one.
+) -> dict[str, Blended]:
+    """SH colours of spectra, the first two of a shared set by one traversal, the others one by one.
 
     Args:
         sets: Gaussians by name, "shared" or a spectrum's.
         spectra: The spectra, in the model's order.
         view: Their camera and pose.
         rendering: How.
-        rendered: Takes images, accumulated opacities, and what rasterizations say about their calls.
+        rendered: Takes what rasterizations say about their calls.
         leading: The model's first spectrum, whose harmonics the first pass of a shared set has.
+
+    Returns:
+        What was blended, by spectrum.
     """
+    blended: dict[str, Blended] = {}
     rest = list(spectra)
     if len(spectra) > 1 and spectra[0].name == leading:
         first, second, *rest = spectra
@@ -44,16 +47,15 @@ def render_harmonics(
         colors, alphas = output.render_thermal_features, output.render_thermal_alphas
         if colors is None or alphas is None:
             colors, alphas = output.render_features, output.render_alphas
-        rendered.images[first.name] = _image(first, output.render_colors.squeeze(0))
-        rendered.images[second.name] = _image(second, colors.squeeze(0))
-        rendered.alphas[first.name] = output.render_alphas.squeeze(0)
-        rendered.alphas[second.name] = alphas.squeeze(0)
+        of_first = output.render_alphas.squeeze(0), None, output.render_colors.squeeze(0)
+        blended[first.name] = Blended(view, *of_first)
+        blended[second.name] = Blended(view, alphas.squeeze(0), None, colors.squeeze(0))
         rendered.note_call(SHARED, [first.name, second.name], output.info)
     for spectrum in rest:
         name = spectrum.name
         own_set = name if name in sets else SHARED
         gaussians = sets[own_set]
-        image, rendered.alphas[name], info = render_view(
+        colors, alpha, info = render_view(
             gaussians,
             gaussians.sh_coeffs_of(name),
             gaussians.logits_in(name),
@@ -61,15 +63,7 @@ def render_harmonics(
             rendering,
             backgrounds=rendering.backgrounds if spectrum.is_photograph else None,
         )
-        rendered.images[name] = _image(spectrum, image)
+        blended[name] = Blended(view, alpha, None, colors)
         if not rendering.geometry_held:
             rendered.note_call(own_set, [name], info)
-
-
-def _image(spectrum: Spectrum, colors: Tensor) -> Tensor:
-    """A spectrum's image [H, W, channels] of its blended SH colours [H, W, 3].
-
-    A one-channel image is the mean of three channels that start equal and get equal gradients: they stay grey, and so
-    does the exported PLY.
-    """
-    return colors if spectrum.channels == 3 else colors.mean(dim=-1, keepdim=True)
+    return blended

@@ -1,13 +1,13 @@
 """Which sets of Gaussians a configuration asks for, each started from the capture's sparse points."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
 
 from thermosplat.config import ModelConfig, TrainConfig
+from thermosplat.scene.formations.formation import Formation
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.spectra import Spectrum
 
 if TYPE_CHECKING:
     from thermosplat.datasets.capture import Capture
@@ -16,13 +16,13 @@ SHARED = "shared"
 """Name of the set that renders all spectra."""
 
 
-def initial_gaussians(config: TrainConfig, capture: "Capture", spectra: Sequence[Spectrum]) -> dict[str, Gaussians]:
+def initial_gaussians(config: TrainConfig, capture: "Capture", formations: Formations) -> dict[str, Gaussians]:
     """The sets of Gaussians at the start of training; the same for the same seed.
 
     Args:
         config: Says which sets there are, what they hold, and the seed of the random features.
         capture: Gives the sparse points.
-        spectra: The spectra of the model.
+        formations: Those of the model's spectra.
 
     Returns:
         On the CPU: "shared", or one set by the name of each spectrum.
@@ -38,17 +38,18 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", spectra: Sequence
             config=config.model,
             sh_degree=config.sh_degree,
             generator=generator,
-            spectra=rendered,
+            formations=rendered,
         )
-        for name, rendered in sets_of(config.model, spectra).items()
+        for name, rendered in sets_of(config.model, formations).items()
     }
 
 
-def sets_of(config: ModelConfig, spectra: Sequence[Spectrum]) -> dict[str, Sequence[Spectrum]]:
-    """The spectra that each set of Gaussians renders, by the set's name.
+def sets_of(config: ModelConfig, formations: Formations) -> dict[str, list[Formation]]:
+    """The formations of the spectra that each set of Gaussians renders, by the set's name.
 
     Args:
         config: Says which sets there are.
-        spectra: The spectra of the model.
+        formations: Those of the model's spectra.
     """
-    return {SHARED: spectra} if config.gaussian_sets == SHARED else {spectrum.name: [spectrum] for spectrum in spectra}
+    every = {name: formations[name] for name in formations.spectra}
+    return {SHARED: list(every.values())} if config.gaussian_sets == SHARED else {name: [every[name]] for name in every}

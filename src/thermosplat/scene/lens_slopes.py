@@ -4,6 +4,7 @@ Slopes are x / z and y / z in camera axes; bent slopes times focal lengths, plus
 formulas are those of docs/conventions.md.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
@@ -26,21 +27,7 @@ def bent(slopes: Tensor, view: "ViewTensors") -> Tensor:
     Returns:
         Shape [..., 2].
     """
-    if view.lens is None:
-        return slopes
-    k1, k2, k3, k4, k5, k6, p1, p2 = view.lens
-    x, y = slopes.unbind(dim=-1)
-    square = x * x + y * y
-    if view.fisheye:
-        radius = square.clamp(min=1e-20).sqrt()
-        theta = torch.atan(radius)
-        t = theta * theta
-        share = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))) / radius
-        return slopes * share[..., None]
-    c = (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
-    across = c * x + 2 * p1 * x * y + p2 * (square + 2 * x * x)
-    down = c * y + p1 * (square + 2 * y * y) + 2 * p2 * x * y
-    return torch.stack([across, down], dim=-1)
+    return slopes if view.lens is None else BENDS[view.lens_model](slopes, view.lens)
 
 
 def straightened(slopes: Tensor, view: "ViewTensors") -> Tensor:
@@ -55,9 +42,9 @@ def straightened(slopes: Tensor, view: "ViewTensors") -> Tensor:
     """
     if view.lens is None:
         return slopes
-    if view.fisheye:
-        return _straightened_fisheye(slopes, view.lens)
     with torch.no_grad():
+        if view.lens_model == "fisheye":
+            return _straightened_fisheye(slopes, view.lens)
         found = slopes
         for _ in range(ITERATIONS):
             x, y = found.unbind(dim=-1)
@@ -69,14 +56,37 @@ def straightened(slopes: Tensor, view: "ViewTensors") -> Tensor:
     return found
 
 
+def _rational(slopes: Tensor, lens: Tensor) -> Tensor:
+    k1, k2, k3, k4, k5, k6, p1, p2 = lens
+    x, y = slopes.unbind(dim=-1)
+    square = x * x + y * y
+    c = (1 + square * (k1 + square * (k2 + square * k3))) / (1 + square * (k4 + square * (k5 + square * k6)))
+    across = c * x + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+    down = c * y + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+    return torch.stack([across, down], dim=-1)
+
+
+def _fisheye(slopes: Tensor, lens: Tensor) -> Tensor:
+    k1, k2, k3, k4 = lens[:4]
+    x, y = slopes.unbind(dim=-1)
+    radius = (x * x + y * y).clamp(min=1e-20).sqrt()
+    theta = torch.atan(radius)
+    t = theta * theta
+    share = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))) / radius
+    return slopes * share[..., None]
+
+
+BENDS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {"pinhole": _rational, "fisheye": _fisheye}
+"""By ``ViewTensors.lens_model``: of slopes [..., 2] and k1 to k6, p1 and p2, [8]."""
+
+
 def _straightened_fisheye(slopes: Tensor, lens: Tensor) -> Tensor:
-    with torch.no_grad():
-        length = slopes.norm(dim=-1, keepdim=True).clamp(min=1e-10)
-        k1, k2, k3, k4 = lens[:4]
-        theta = length
-        for _ in range(ITERATIONS):
-            t = theta * theta
-            value = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))) - length
-            rise = 1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))
-            theta = (theta - value / rise.clamp(min=0.1)).clamp(0.0, 1.57)
-        return slopes * torch.tan(theta) / length
+    length = slopes.norm(dim=-1, keepdim=True).clamp(min=1e-10)
+    k1, k2, k3, k4 = lens[:4]
+    theta = length
+    for _ in range(ITERATIONS):
+        t = theta * theta
+        value = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4)))) - length
+        rise = 1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))
+        theta = (theta - value / rise.clamp(min=0.1)).clamp(0.0, 1.57)
+    return slopes * torch.tan(theta) / length

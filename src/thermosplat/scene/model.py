@@ -1,6 +1,6 @@
-"""The scene model: sets of Gaussians, decoders, and how a frame is rendered from them.
+"""The scene: sets of Gaussians, how they become images, and how a frame of them is rendered.
 
-Three kinds of model, by ``ModelConfig.gaussian_sets`` and ``ModelConfig.feature_dim``:
+Three kinds of scenes, by ``ModelConfig.gaussian_sets`` and ``ModelConfig.feature_dim``:
 
 - "shared": one set for all spectra. The opacity α blends SH colours and features, another opacity α_s of a spectrum
   blends the same features; decoders turn the features of each pixel into images (ThermoSplat).
@@ -9,7 +9,8 @@ Three kinds of model, by ``ModelConfig.gaussian_sets`` and ``ModelConfig.feature
 - "separate": one set per spectrum, each rendered from its spherical harmonics, without features (independent 3DGS).
 
 One traversal blends SH colours and features at α, and features at one more opacity. That is all that RGB and thermal
-need. A third opacity takes a traversal of its own; spectra that share α take none.
+need. A third opacity takes a traversal of its own; spectra that share α take none. What becomes of that is said by the
+spectra's formations (``formations``).
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -19,18 +20,17 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
+from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.datasets.placement import WORLD, Placement
-from thermosplat.fused.covered_images import warp_covered
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
-from thermosplat.scene.decoders import Decoders, may_be_hybrid
-from thermosplat.scene.decoding_in_parts import decode_in_parts
 from thermosplat.scene.feature_passes import blend_features
-from thermosplat.scene.fourier_features import with_fourier_features
+from thermosplat.scene.formations.formation import Blended
+from thermosplat.scene.formations.saved_formations import as_trained, restored_formations
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
-from thermosplat.scene.harmonic_passes import render_harmonics
+from thermosplat.scene.harmonic_passes import blend_harmonics
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
 from thermosplat.scene.lens_distortion import nearest_distorted
 from thermosplat.scene.offloaded import stored_values
@@ -39,13 +39,8 @@ from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.scene.shared_cameras import views_by_camera
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders, make_decoders
-from thermosplat.scene.view_directions import view_directions
-from thermosplat.scene.views import (
-    Rendering,
-    render_view_depth,
-)
-from thermosplat.spectra import Spectrum, SpectrumConfig, model_spectra
+from thermosplat.scene.views import Rendering, render_view_depth
+from thermosplat.spectra import model_spectra
 
 if TYPE_CHECKING:
     from thermosplat.datasets.capture import Capture
@@ -58,19 +53,18 @@ Groups = Sequence[Sequence[str]]
 
 
 class SceneModel(nn.Module):
-    """Gaussians and decoders of one scene.
+    """Gaussians of one scene, and the formations of its images.
 
     Attributes:
         placement: Where the scene lies in the world.
         spectra: What is rendered, by name, in order.
         gaussian_sets: The sets by name: "shared", or one by the name of each spectrum.
-        decoders: The pixel-wise networks; None where the Gaussians have no features.
+        formations: How the image of each spectrum is formed.
         background: Colour behind the SH colours of photographs, shape [3].
 
     Args:
-        config: What is modelled, and how.
-        decoder: Widths and switches of the decoders.
-        spectra: What is rendered, in order.
+        config: What is modelled.
+        formations: Those of the spectra, in order.
         gaussian_sets: The Gaussians by set name, as ``config.gaussian_sets`` asks for.
         background: RGB background colour in [0, 1].
         unscented: Pinhole cameras see the Gaussians by the unscented transform, as lenses and rolling shutters do. For
@@ -84,8 +78,7 @@ class SceneModel(nn.Module):
     def __init__(
         self,
         config: ModelConfig,
-        decoder: DecoderConfig,
-        spectra: Sequence[Spectrum],
+        formations: Formations,
         gaussian_sets: dict[str, Gaussians],
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         *,
@@ -94,19 +87,13 @@ class SceneModel(nn.Module):
     ) -> None:
         super().__init__()
         self.config = config
-        self.decoder_config = decoder
-        self.spectra = {spectrum.name: spectrum for spectrum in spectra}
+        self.spectra = formations.spectra
         self.gaussian_sets = nn.ModuleDict(gaussian_sets)
-        self.decoders: Decoders | SpectrumDecoders | None = None
-        if config.gaussian_sets == SHARED and config.feature_dim > 0:
-            self.decoders = make_decoders(decoder, config.feature_dim, spectra)
+        self.formations = formations
         self.register_buffer("background", torch.tensor(background, dtype=torch.float32), persistent=False)
         self.unscented = unscented
         self.placement = placement
         self._has_background = any(channel != 0.0 for channel in background)
-        first = spectra[0]
-        self.photograph = first.name if may_be_hybrid(first, spectra) else None
-        """The spectrum whose image has SH colours in it; None where the first one is no photograph."""
 
     def gaussians(self, name: str) -> Gaussians:
         """The set of Gaussians of that name.
@@ -127,6 +114,11 @@ class SceneModel(nn.Module):
         return spectrum if spectrum in self.gaussian_sets else SHARED
 
     @property
+    def has_features(self) -> bool:
+        """Whether Gaussians have latent features."""
+        return self.config.feature_dim > 0
+
+    @property
     def num_gaussians(self) -> int:
         """Gaussians in all sets together."""
         return sum(len(self.gaussians(name)) for name in self.gaussian_sets)
@@ -136,30 +128,6 @@ class SceneModel(nn.Module):
         """Bytes of all parameters as a checkpoint stores them: without zeros of SH bands and opacity offsets."""
         stored = self.checkpoint_state()
         return sum(num_bytes(values) for values in [*stored.gaussian_sets.values(), stored.decoders or {}])
-
-    @property
-    def feature_channels(self) -> int | None:
-        """Latent channels that are blended; None where there are no features."""
-        return self.gaussians(SHARED).features.shape[1] if self.decoders is not None else None
-
-    @property
-    def offsets_kept(self) -> dict[str, float]:
-        """By spectrum with opacity offsets, the share of the Gaussians whose offset is not zero."""
-        stored = {
-            spectrum: self.gaussians(name).stored_opacity(spectrum)
-            for name in self.gaussian_sets
-            for spectrum in self.gaussians(name).second_opacities
-        }
-        return {
-            spectrum: (values != 0).float().mean().item()
-            for spectrum, (values, is_offset) in stored.items()
-            if values is not None and is_offset
-        }
-
-    @property
-    def point_spreads(self) -> dict[str, float]:
-        """By spectrum whose images are blurred, the standard deviation [of an image's width]."""
-        return {} if self.decoders is None else self.decoders.point_spreads.widths()
 
     @property
     def pixel_filter(self) -> PixelFilter:
@@ -192,7 +160,7 @@ class SceneModel(nn.Module):
                 each is always right, and keeps the spectra's gradients of means2d apart.
             deterministic: As the rasterizer's.
             depth_spread_limit: Also blend depths, and measure how far they spread along rays, counting hardly more than
-                this (``LossConfig.depth_spread_limit``); None: do not. A model without features never does.
+                this (``DEPTH_SPREAD_LIMIT``); None: do not. A model without features never does.
             distributed: Each rank holds a share of the Gaussians and renders a frame of its own (``rasterization``).
             shaped_by: Spectra whose images shape a shared set. From those of the others, where they have cameras of
                 their own, no gradient reaches means, quats, scales and opacities, and density control sees nothing.
@@ -211,6 +179,7 @@ class SceneModel(nn.Module):
             deterministic,
             depth_spread_limit=depth_spread_limit,
             distributed=distributed,
+            needs_depth=any(self.formations[name].needs_depth for name in views),
         )
         if SHARED not in self.gaussian_sets:
             shared_cameras, shaped_by = [[name] for name in views], None
@@ -223,17 +192,8 @@ class SceneModel(nn.Module):
         for group in shared_cameras:
             names = [name for name in self.spectra if name in group and name in views]
             how = how._replace(geometry_held=shaped_by is not None and not set(names) & set(shaped_by))
-            if names and self.decoders is not None:
-                self._render_features(self.decoders, sets, names, views[names[0]], how, rendered)
-            elif names:
-                render_harmonics(
-                    sets,
-                    [self.spectra[name] for name in names],
-                    views[names[0]],
-                    how,
-                    rendered,
-                    leading=next(iter(self.spectra)),
-                )
+            if names:
+                self.formations.form(self._blended(sets, names, views[names[0]], how, rendered), rendered)
         for name, view in views.items():
             if view.distortion is not None:
                 rendered.bend(name, view.K, view.distortion)
@@ -253,6 +213,21 @@ class SceneModel(nn.Module):
         firsts = (next((spectrum for spectrum in group if spectrum in views), None) for group in groups)
         cameras = [views[spectrum] for spectrum in firsts if spectrum is not None and self.set_of(spectrum) == name]
         return gaussians_in_view(self.gaussians(name), cameras, sh_degree, self.pixel_filter)
+
+    def _blended(
+        self,
+        sets: Mapping[str, Gaussians],
+        names: Sequence[str],
+        view: "ViewTensors",
+        how: Rendering,
+        rendered: RenderedFrame,
+    ) -> dict[str, Blended]:
+        """What is blended for spectra of one camera."""
+        if self.has_features:
+            photograph = next((name for name in names if self.formations[name].takes_colors), None)
+            return blend_features(sets[SHARED], names, photograph, view, how, rendered)
+        spectra = [self.spectra[name] for name in names]
+        return blend_harmonics(sets, spectra, view, how, rendered, leading=next(iter(self.spectra)))
 
     def render_depth(
         self, spectrum: str, view: "ViewTensors", *, expected: bool = False, distributed: bool = False
@@ -277,61 +252,6 @@ class SceneModel(nn.Module):
             return depth
         return nearest_distorted(depth, view.K, view.distortion)
 
-    def _render_features(
-        self,
-        decoders: Decoders | SpectrumDecoders,
-        sets: Mapping[str, Gaussians],
-        names: Sequence[str],
-        view: "ViewTensors",
-        how: Rendering,
-        rendered: RenderedFrame,
-    ) -> None:
-        """Spectra of one camera: features blended at each opacity, then decoded."""
-        features, colors = blend_features(sets[SHARED], names, self.photograph, view, how, rendered)
-        if not view.orthographic:  # a map, which no camera takes
-            features = {name: decoders.point_spreads(name, image) for name, image in features.items()}
-            if colors is not None and self.photograph is not None:
-                colors = decoders.point_spreads(self.photograph, colors)
-        decoded = decode_in_parts(decoders, {name: self.decoder_input(view, features[name]) for name in names})
-        for name in sorted(names, key=lambda name: name == self.photograph):  # the photograph last
-            hybrid = name == self.photograph and self.decoder_config.hybrid
-            image = decoded[name] if hybrid else self._padded(decoded[name])  # a sum has no range to widen
-            base = None
-            if hybrid:
-                base = colors
-            elif name == self.photograph and self.decoder_config.covered_only:
-                base = (1.0 - rendered.alphas[name]) * self.background
-            rendered.images[name] = self._covered(image, rendered.alphas[name], base)
-            rendered.features[name] = features[name]
-
-    def _padded(self, decoded: Tensor) -> Tensor:
-        """A decoded image, in (0, 1), in a range that is wider by the padding on both sides (Mip-NeRF)."""
-        padding = self.decoder_config.padding
-        return decoded if padding == 0 else (1.0 + 2.0 * padding) * decoded - padding
-
-    def _covered(self, decoded: Tensor, alpha: Tensor, base: Tensor | None) -> Tensor:
-        """A decoded image as far as Gaussians cover it, added to ``base``, or black, the lowest value."""
-        if not self.decoder_config.covered_only:
-            return decoded if base is None else base + decoded
-        if decoded.is_cuda:
-            return warp_covered(decoded, alpha, base)
-        covered = alpha * decoded
-        return covered if base is None else base + covered
-
-    def decoder_input(self, view: "ViewTensors | None", features: Tensor) -> Tensor:
-        """Features as the decoders take them: with waves of them and the viewing directions, where they see those.
-
-        Args:
-            view: From where the features were rendered; None: from nowhere, which is the direction 0.
-            features: A_f, shape [H, W, d]; without a view any shape [..., d].
-        """
-        inputs = with_fourier_features(features, self.decoder_config.fourier_frequency)
-        if not self.decoder_config.view_direction:
-            return inputs
-        if view is None:
-            return torch.nn.functional.pad(inputs, (0, 3))
-        return torch.cat([inputs, view_directions(view)], dim=-1)
-
     # ---- making and restoring ----------------------------------------------------------------------------------------
 
     @classmethod
@@ -350,25 +270,24 @@ class SceneModel(nn.Module):
         check_config(config)
         capture.require(list(config.modelled))
         spectra = model_spectra(config.modelled, {name: capture.scales[name].kind for name in config.modelled})
-        gaussian_sets = initial_gaussians(config, capture, spectra)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            model = cls(
-                config.model,
-                config.decoder,
-                spectra,
-                gaussian_sets,
-                config.background,
-                unscented=capture.unscented,
-                placement=capture.placement,
-            )
+            formations = Formations(config.model, config.decoder, spectra)
+        model = cls(
+            config.model,
+            formations,
+            initial_gaussians(config, capture, formations),
+            config.background,
+            unscented=capture.unscented,
+            placement=capture.placement,
+        )
         return model.to(device)
 
     def checkpoint_state(self) -> SavedModel:
         """The model of a checkpoint, which ``from_checkpoint`` restores."""
         return SavedModel(
             gaussian_sets={name: pack(stored_values(self.gaussians(name))) for name in self.gaussian_sets},
-            decoders=self.decoders.state_dict() if self.decoders is not None else None,
+            decoders=self.formations.state_dict() or None,
             color_spaces={name: spectrum.color_space for name, spectrum in self.spectra.items()},
             unscented=self.unscented,
             placement=self.placement.state(),
@@ -388,46 +307,13 @@ class SceneModel(nn.Module):
         config, saved = checkpoint.config, checkpoint.model
         with damage_explained("model"):
             spectra = model_spectra(as_trained(config.modelled, saved.decoders), saved.color_spaces)
-            gaussian_sets = restored_sets(saved.gaussian_sets, config, spectra)
-            if config.model.gaussian_sets == SHARED and config.model.feature_dim > 0:
-                _check_decoders(saved.decoders, config, spectra)
+            formations = restored_formations(saved.decoders, config.model, config.decoder, spectra)
             model = cls(
                 config.model,
-                config.decoder,
-                spectra,
-                gaussian_sets,
+                formations,
+                restored_sets(saved.gaussian_sets, config, formations),
                 config.background,
                 unscented=saved.unscented,
                 placement=Placement.from_state(saved.placement),
             )
-            if model.decoders is not None and saved.decoders is not None:
-                model.decoders.load_state_dict(saved.decoders)
         return model.to(device)
-
-
-def as_trained(
-    spectra: Mapping[str, SpectrumConfig], decoders: Mapping[str, Tensor] | None
-) -> dict[str, SpectrumConfig]:
-    """The spectra by name with the blur that a saved model has, or has not: noise decides no more.
-
-    Args:
-        spectra: As they were asked for.
-        decoders: The saved decoders; None: there are none.
-    """
-    saved = decoders or {}
-    trained = dict(spectra)
-    for name, one in spectra.items():
-        if one.point_spread_noise > 0:
-            learnt = f"point_spreads.log_widths.{name}" in saved
-            trained[name] = replace(one, point_spread=one.point_spread if learnt else 0.0, point_spread_noise=0.0)
-    return trained
-
-
-def _check_decoders(saved: Mapping[str, Tensor] | None, config: TrainConfig, spectra: Sequence[Spectrum]) -> None:
-    """Hold the shapes of saved decoders against the configuration, before memory is taken for what that asks for."""
-    with torch.device("meta"):
-        asked = make_decoders(config.decoder, config.model.feature_dim, spectra).state_dict()
-    shapes = {name: list(value.shape) for name, value in (saved or {}).items()}
-    for name, value in asked.items():
-        if shapes.get(name) != list(value.shape):
-            raise ValueError(f"decoders.{name} has the shape {shapes.get(name)}, not {list(value.shape)}")

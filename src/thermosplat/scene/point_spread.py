@@ -6,50 +6,43 @@ spectra. Without a point spread they can show a soft edge only where surfaces fa
 """
 
 import math
-from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
 
 from thermosplat.fused.point_spread import blurred_by_gaussian
-from thermosplat.spectra import Spectrum
 
 REACH = 4.0
 """Pixels count up to this many times the deviation that training begins with. Open choice: of a blur that turns out to
 be twice as wide a twentieth is left out."""
 
 
-class PointSpreads(nn.Module):
-    """Point spreads by spectrum.
+class PointSpread(nn.Module):
+    """The point spread of one spectrum's camera.
 
     Attributes:
-        log_widths: Logarithm of the Gaussian's standard deviation [of an image's width], scalars, of the spectra that
-            have one (``SpectrumConfig.point_spread``).
+        log_width: Logarithm of the Gaussian's standard deviation [of an image's width], a scalar.
 
     Args:
-        spectra: The spectra of the model.
+        width: The standard deviation that training begins with (``SpectrumConfig.point_spread``), > 0.
     """
 
-    def __init__(self, spectra: Iterable[Spectrum]) -> None:
+    def __init__(self, width: float) -> None:
         super().__init__()
-        self._first = {one.name: one.point_spread for one in spectra if one.point_spread > 0}
-        self.log_widths = nn.ParameterDict(
-            {name: nn.Parameter(torch.tensor(math.log(width))) for name, width in self._first.items()}
-        )
+        self._first = width
+        self.log_width = nn.Parameter(torch.tensor(math.log(width)))
 
-    def forward(self, spectrum: str, image: Tensor) -> Tensor:
+    def forward(self, image: Tensor) -> Tensor:
         """What the camera makes of an image, or of the features that it is decoded from.
 
         Args:
-            spectrum: Its name.
             image: Shape [H, W, C].
         """
-        if spectrum not in self._first:
-            return image
-        width = image.shape[1]
-        radius = max(1, math.ceil(REACH * self._first[spectrum] * width))
-        return blurred_by_gaussian(image, self.log_widths[spectrum].exp() * width, radius)
+        pixels = image.shape[1]
+        radius = max(1, math.ceil(REACH * self._first * pixels))
+        return blurred_by_gaussian(image, self.log_width.exp() * pixels, radius)
 
-    def widths(self) -> dict[str, float]:
-        """Standard deviations by spectrum [of an image's width]."""
-        return {name: value.exp().item() for name, value in self.log_widths.items()}
+    @property
+    def width(self) -> float:
+        """Standard deviation [of an image's width]."""
+        return self.log_width.exp().item()

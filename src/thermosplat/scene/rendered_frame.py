@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from thermosplat.scene.gaussians_in_view import GaussiansInView
 from thermosplat.scene.lens_distortion import distorted
+
+if TYPE_CHECKING:
+    from thermosplat.scene.formations.formation import Formation
 
 
 @dataclass
@@ -19,6 +22,8 @@ class RenderedFrame:
     """Images, shape [H, W, channels]. Decoded ones lie in (0, 1), or reach beyond it by ``decoder.padding``. SH
     renders, and the raw sum of SH colour and decoded part, may exceed 1: the image losses see them as they are, so that
     saturated pixels keep their gradient; metrics and 8-bit images clamp them to [0, 1]."""
+    formations: dict[str, "Formation"] = field(default_factory=dict)
+    """How each image was formed, which says what losses it has; one without is compared as an image."""
     features: dict[str, Tensor] = field(default_factory=dict)
     """A_f, features rendered with the spectrum's opacities, shape [H, W, d]; empty for a model without features."""
     alphas: dict[str, Tensor] = field(default_factory=dict)
@@ -47,6 +52,22 @@ class RenderedFrame:
         """
         info["spectra"] = tuple(spectra)
         self.infos.setdefault(gaussian_set, []).append(info)
+
+    def include(self, part: "RenderedFrame") -> None:
+        """Take over the images of another frame, and what they were made of; not what was said of calls.
+
+        Args:
+            part: Other spectra of the same exposure.
+        """
+        self.formations |= part.formations
+        for held, found in (
+            (self.images, part.images),
+            (self.features, part.features),
+            (self.alphas, part.alphas),
+            (self.log_depths, part.log_depths),
+        ):
+            held.update(found)
+        self.depth_spreads += part.depth_spreads
 
     def bend(self, spectrum: str, K: Tensor, coefficients: Tensor) -> None:
         """Resample all that was rendered of a spectrum as its lens shows it.

@@ -7,23 +7,24 @@ import torch
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
+from thermosplat.scene.formations.formation import Formation
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import sets_of
 from thermosplat.scene.packed_parameters import unpack
-from thermosplat.spectra import Spectrum
 
 _BASIS = "feature_basis"
 
 
 def restored_sets(
-    packed: Mapping[str, Mapping[str, Tensor]], config: TrainConfig, spectra: Sequence[Spectrum]
+    packed: Mapping[str, Mapping[str, Tensor]], config: TrainConfig, formations: Formations
 ) -> dict[str, Gaussians]:
     """All sets of Gaussians of a scene, by name, as a checkpoint has them.
 
     Args:
         packed: Parameters of each set.
         config: The run's configuration.
-        spectra: The spectra of its model, in order.
+        formations: Those of its model's spectra.
 
     Raises:
         KeyError: It lacks a set or a parameter.
@@ -31,17 +32,17 @@ def restored_sets(
     """
     return {
         name: restored_gaussians(packed[name], config, rendered)
-        for name, rendered in sets_of(config.model, spectra).items()
+        for name, rendered in sets_of(config.model, formations).items()
     }
 
 
-def restored_gaussians(packed: Mapping[str, Tensor], config: TrainConfig, spectra: Sequence[Spectrum]) -> Gaussians:
+def restored_gaussians(packed: Mapping[str, Tensor], config: TrainConfig, formations: Sequence[Formation]) -> Gaussians:
     """Gaussians as a checkpoint has them.
 
     Args:
         packed: Their parameters (``packed_parameters.pack``).
         config: The run's configuration.
-        spectra: What the set renders, in order.
+        formations: Of the spectra that the set renders, in order.
 
     Raises:
         KeyError: It lacks a parameter.
@@ -56,7 +57,7 @@ def restored_gaussians(packed: Mapping[str, Tensor], config: TrainConfig, spectr
         if value.dtype not in ({torch.uint8, torch.bool} if whole else {torch.float16, torch.float32}):
             raise ValueError(f"{name} holds {value.dtype}")
     parameters = unpack(dict(packed), (config.sh_degree + 1) ** 2 - 1)
-    expected = _shapes(config, spectra)
+    expected = _shapes(config, formations)
     if _BASIS in parameters:
         basis = parameters[_BASIS]
         if basis.ndim != 2 or "features" not in expected or basis.shape[:1] != expected["features"]:
@@ -78,7 +79,7 @@ def num_not_finite(gaussians: Gaussians) -> int:
     return int(broken.sum())
 
 
-def _shapes(config: TrainConfig, spectra: Sequence[Spectrum]) -> dict[str, tuple[int, ...]]:
+def _shapes(config: TrainConfig, formations: Sequence[Formation]) -> dict[str, tuple[int, ...]]:
     """The shape of each parameter behind N, as training starts with it."""
     few = np.eye(4, 3, dtype=np.float32)
     start = Gaussians.from_points(
@@ -87,6 +88,6 @@ def _shapes(config: TrainConfig, spectra: Sequence[Spectrum]) -> dict[str, tuple
         config=config.model,
         sh_degree=config.sh_degree,
         generator=torch.Generator(),
-        spectra=spectra,
+        formations=formations,
     )
     return {name: tuple(value.shape[1:]) for name, value in start.named_parameters()}

@@ -31,8 +31,8 @@ def views_by_camera(views: Mapping[str, "ViewTensors"]) -> list[list[str]]:
 
 def _same_camera(one: "ViewTensors", other: "ViewTensors") -> bool:
     return (
-        (one.width, one.height, one.orthographic, one.fisheye, one.line_order)
-        == (other.width, other.height, other.orthographic, other.fisheye, other.line_order)
+        (one.width, one.height, one.orthographic, one.lens_model, one.line_order)
+        == (other.width, other.height, other.orthographic, other.lens_model, other.line_order)
         and torch.equal(one.K, other.K)
         and torch.equal(one.viewmat, other.viewmat)
         and _equal(one.distortion, other.distortion)

@@ -14,6 +14,7 @@ from thermosplat.rasterizer import (
     rasterization,
     rasterization_rgbt,
 )
+from thermosplat.rasterizer.lenses import RADIAL_COUNTS, TAKES
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.pixel_filter import PixelFilter
 
@@ -43,6 +44,18 @@ class Rendering(NamedTuple):
     """Also tell how far depths spread along rays, with this limit (``warp_depth_spread``); None: do not."""
     distributed: bool = False
     """The set is divided over ranks, each of which renders a view of its own now."""
+    needs_depth: bool = False
+    """Also blend depths, whether their spread is asked for or not."""
+
+    @property
+    def blends_depth(self) -> bool:
+        """Whether depths are blended with features."""
+        return self.needs_depth or self.depth_spread_limit is not None
+
+    @property
+    def background(self) -> Tensor | None:
+        """Colour behind photographs, [3]; None: black."""
+        return None if self.backgrounds is None else self.backgrounds[0]
 
 
 def camera_arguments(view: "ViewTensors") -> dict[str, Any]:
@@ -81,13 +94,10 @@ def _lens_arguments(view: "ViewTensors") -> dict[str, Any]:
     if view.lens is None:
         return {"camera_model": "pinhole", "with_ut": view.unscented}
     coefficients = view.lens[None]
-    if view.fisheye:
-        return {"camera_model": "fisheye", "radial_coeffs": coefficients[:, :4]}
-    return {
-        "camera_model": "pinhole",
-        "radial_coeffs": coefficients[:, :6],
-        "tangential_coeffs": coefficients[:, 6:],
-    }
+    arguments = {"camera_model": view.lens_model, "radial_coeffs": coefficients[:, : RADIAL_COUNTS[view.lens_model][0]]}
+    if "tangential_coeffs" in TAKES[view.lens_model]:
+        arguments["tangential_coeffs"] = coefficients[:, 6:]
+    return arguments
 
 
 def render_view(

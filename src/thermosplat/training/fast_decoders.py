@@ -6,29 +6,30 @@ Only training steps see them like this; evaluation and rendering use the plain d
 import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from typing import Literal
 
 import torch
-from torch import Tensor
 
 from thermosplat.config import TrainConfig
+from thermosplat.scene.decoder import Decode, Decoder
 from thermosplat.scene.decoders import Decoders
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.training.fused_decoders import FusedDecoders, teams
 
 Precision = Literal["float32", "tf32"]
 
-Decode = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
-"""``Decoders.decode``."""
-
 
 class FastDecoders:
-    """Swaps a compiled ``decode`` in and out of decoders.
+    """Another way to decode, for a while.
+
+    Attributes:
+        decode: As ``Decoder.decode``.
 
     Args:
-        decoders: The decoders.
+        decoder: Whose networks they are.
         compiled: On CUDA, let fused kernels decode where there are some for the decoders and the precision
             (fused_decoders.py); otherwise let torch.compile, where it works, join element-wise work into few kernels,
             which takes some seconds once a size.
@@ -36,45 +37,53 @@ class FastDecoders:
             their updates and the images are float32 in any case.
     """
 
-    def __init__(self, decoders: Decoders | SpectrumDecoders, *, compiled: bool, precision: Precision) -> None:
-        self.decoders = decoders
+    def __init__(self, decoder: Decoder, *, compiled: bool, precision: Precision) -> None:
         self._matmul = "highest" if precision == "float32" else "high"
-        fused = _fused(decoders) if compiled and precision == "tf32" else None
-        self._decode: Decode = decoders.decode if fused is None else fused.decode
+        fused = _fused(decoder) if compiled and precision == "tf32" else None
+        self.decode: Decode = decoder.decode if fused is None else fused.decode
         if fused is None and compiled and can_compile():
-            self._decode = torch.compile(self._decode, dynamic=False)
+            self.decode = torch.compile(self.decode, dynamic=False)
 
     @contextmanager
-    def active(self) -> Iterator[None]:
-        """Around a step's rendering and backward pass."""
+    def precise(self) -> Iterator[None]:
+        """Within it matrix products have the precision that was asked for."""
         precision = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(self._matmul)
-        self.decoders.decode = self._decode  # type: ignore[method-assign, assignment]
         try:
             yield
         finally:
-            del self.decoders.decode
             torch.set_float32_matmul_precision(precision)
 
+    @contextmanager
+    def active(self, formations: Formations) -> Iterator[None]:
+        """Around a step's rendering and backward pass.
 
-def fast_decoders(
-    decoders: Decoders | SpectrumDecoders | None, config: TrainConfig, device: torch.device
-) -> FastDecoders | None:
-    """The decoders as a configuration wants them in steps; None where those are the plain ones, or there are none.
+        Args:
+            formations: Those that have the decoder.
+        """
+        with self.precise(), formations.decoding_by(self.decode):
+            yield
+
+
+def fast_decoding(
+    formations: Formations, config: TrainConfig, device: torch.device
+) -> Callable[[], AbstractContextManager[None]]:
+    """What is opened around a step so that features are decoded as a configuration wants it.
 
     Args:
-        decoders: The model's.
+        formations: The model's.
         config: The whole configuration.
         device: Where they are.
     """
-    if decoders is None or device.type != "cuda":
-        return None
-    return FastDecoders(decoders, compiled=config.compile, precision=config.decoder_precision)
+    if formations.decoder is None or device.type != "cuda":
+        return nullcontext
+    fast = FastDecoders(formations.decoder, compiled=config.compile, precision=config.decoder_precision)
+    return partial(fast.active, formations)
 
 
-def _fused(decoders: Decoders | SpectrumDecoders) -> FusedDecoders | None:
-    """The decoders by fused kernels; None where there are none for them."""
-    return FusedDecoders(decoders) if isinstance(decoders, Decoders) and teams(decoders) else None
+def _fused(decoder: Decoder) -> FusedDecoders | None:
+    """The decoder by fused kernels; None where there are none for it."""
+    return FusedDecoders(decoder) if isinstance(decoder, Decoders) and teams(decoder) else None
 
 
 def can_compile() -> bool:

@@ -14,10 +14,10 @@ from torch.nn.functional import softplus
 
 from thermosplat.config import TrainConfig
 from thermosplat.runs.checkpoint_file import on_host
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.saved_gaussians import restored_sets
-from thermosplat.spectra import Spectrum
 
 Scene = Mapping[str, Mapping[str, Tensor]]
 """Parameters of each set of Gaussians, packed as in a checkpoint."""
@@ -55,15 +55,15 @@ def kept_scene(model: SceneModel) -> Scene:
     return scene
 
 
-def joined_sets(scenes: Sequence[Scene], config: TrainConfig, spectra: Sequence[Spectrum]) -> dict[str, Gaussians]:
+def joined_sets(scenes: Sequence[Scene], config: TrainConfig, formations: Formations) -> dict[str, Gaussians]:
     """What kept scenes become, by set.
 
     Args:
         scenes: The scenes.
         config: The run's configuration.
-        spectra: The spectra of its model, in order.
+        formations: Those of its model's spectra.
     """
-    restored = [restored_sets(scene, config, spectra) for scene in scenes]
+    restored = [restored_sets(scene, config, formations) for scene in scenes]
     return {name: joined([sets[name] for sets in restored]) for name in restored[0]}
 
 

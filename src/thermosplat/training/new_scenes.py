@@ -30,8 +30,7 @@ def of_passes(config: TrainConfig) -> TrainConfig:
     Args:
         config: The whole configuration.
     """
-    usual = ModelConfig()
-    model = replace(config.model, init_opacity=usual.init_opacity, init_scale=usual.init_scale)
+    model = replace(config.model, init_opacity=ModelConfig().init_opacity)
     rates = {name: config.refine_rates * getattr(config.optimizer, name) for name in _FASTER}
     return replace(config, model=model, optimizer=replace(config.optimizer, **rates))
 

@@ -73,7 +73,7 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device, *, div
     sizes = {name: SetSize.of(model, name, most) for name in model.gaussian_sets}
     if why is None and not any(size.movable for size in sizes.values()):
         why = "--offload found nothing to offload: there are no features and no spherical harmonics above degree 0."
-    growing = config.densification.enabled
+    growing = config.densification.stop_step > config.densification.start_step
     if config.offload != "auto":
         if why is not None:
             raise UserError(why, "Leave --offload out.")

@@ -2,10 +2,11 @@
 
 A learning rate is a function of the step, so there is no scheduler with a state of its own. Parameters named
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``, those of
-one spectrum, such as ``thermal_opacity_offsets``, the rate of their kind, ``opacity_offsets_lr``. Where the
-configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run, else to ``final_share`` of
-itself. From ``cooldown_from`` on every rate also falls to zero, in a straight line. Parameters that decay themselves
-are few: those that the configuration has a ``<name>_decay`` for.
+one spectrum, such as ``thermal_sh0`` or ``thermal_opacity_offsets``, the rate of their kind, ``sh0_lr`` or
+``opacities_lr``. Where the configuration has ``<name>_lr_final``, the rate decays exponentially to it over the run,
+else to ``final_share`` of itself. Corrections of cameras have rates of their own (``camera_corrections.RATES``). From
+``cooldown_from`` on every rate also falls to zero, in a straight line. Parameters that decay themselves are few: those
+that the configuration has a ``<name>_decay`` for.
 """
 
 from collections.abc import Mapping
@@ -17,11 +18,14 @@ from torch import Tensor, nn
 from thermosplat.config import OptimizerConfig
 from thermosplat.fused.adam import WarpAdam, step_together
 from thermosplat.fused.row_adam import RowAdam
+from thermosplat.refinement.camera_corrections import RATES
 from thermosplat.scene.gaussians import OFFSETS
 from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.training.density.gaussian_ops import Optimizers
 
-_LENGTHS = {"means", "poses", "cameras"}
+_LENGTHS = {"means", *RATES}
+EPSILON = 1e-15
+"""Adam's ε. 3DGS."""
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}
 """What Adam knows of a parameter."""
 
@@ -36,9 +40,12 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: fl
         scale: What rates of lengths are multiples of: for means the radius of the cameras [world units] (3DGS), for
             "poses" and "cameras" the width of the images [px].
     """
-    field = f"{_kind(name)}_lr"
-    rate = getattr(config, field)
-    final = getattr(config, f"{field}_final", rate * config.final_share)
+    if name in RATES:
+        rate, final = RATES[name]
+    else:
+        field = f"{_kind(name)}_lr"
+        rate = getattr(config, field)
+        final = getattr(config, f"{field}_final", rate * config.final_share)
     progress = min(progress, 1.0)
     if rate > 0 and final != rate:
         rate = rate * (final / rate) ** progress
@@ -49,13 +56,11 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: fl
 
 def _kind(name: str) -> str:
     """Which rate a parameter takes, without "_lr"."""
-    if name.endswith(OFFSETS):
-        return "opacity_offsets"
     if name.endswith(("_sh0", "_shN")):
         return name.rpartition("_")[2]
-    if name.startswith("logit_") and name != "logit_opacities":
-        return "own_opacities"
-    return name.removeprefix("log_").removeprefix("logit_")
+    if name.endswith(OFFSETS) or name.startswith("logit_"):
+        return "opacities"
+    return name.removeprefix("log_")
 
 
 def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimizers:
@@ -66,19 +71,19 @@ def gaussian_optimizers(gaussians: nn.Module, config: OptimizerConfig) -> Optimi
 def parameter_optimizers(parameters: Mapping[str, nn.Parameter], config: OptimizerConfig) -> Optimizers:
     """One Adam for each of some parameters, by the name that its learning rate goes by."""
     decays = {"shN": config.shN_decay}
-    return {name: _adam([parameter], config, decays.get(_kind(name), 0.0)) for name, parameter in parameters.items()}
+    return {name: _adam([parameter], decays.get(_kind(name), 0.0)) for name, parameter in parameters.items()}
 
 
-def network_optimizer(network: nn.Module, config: OptimizerConfig) -> torch.optim.Adam:
+def network_optimizer(network: nn.Module) -> torch.optim.Adam:
     """One Adam for all parameters of the decoders."""
-    return _adam(list(network.parameters()), config)
+    return _adam(list(network.parameters()))
 
 
-def _adam(parameters: list[nn.Parameter], config: OptimizerConfig, decay: float = 0.0) -> torch.optim.Adam:
+def _adam(parameters: list[nn.Parameter], decay: float = 0.0) -> torch.optim.Adam:
     # fused: one kernel for the whole update (ten times faster than torch's loop on the CPU), and the one variant that
     # can be told on the device, without waiting for it, to leave the parameters alone (found_inf)
     device = parameters[0].device
-    settings: dict[str, Any] = {"eps": config.eps, "weight_decay": decay}
+    settings: dict[str, Any] = {"eps": EPSILON, "weight_decay": decay}
     if isinstance(parameters[0], OffloadedParameter):
         return RowAdam(parameters, lr=torch.zeros((), device=device), **settings)
     if device.type == "cuda":  # a rate that a captured step sees change

@@ -5,18 +5,19 @@ weights and which floors. A run that goes on keeps what was decided when it bega
 """
 
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.run_schedule import run_schedule, steps_note
 from thermosplat.datasets.capture import Capture
 from thermosplat.runs.checkpoint import Checkpoint
-from thermosplat.scene.model import as_trained
+from thermosplat.scene.formations.saved_formations import as_trained
 from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.tolerances import Tolerances
 from thermosplat.training.density.gaussian_limit import with_limit
 from thermosplat.training.frames.train_frames import TrainFrames
-from thermosplat.training.image_noise import fitted_to_noise, noisy_spectra, training_noise
+from thermosplat.training.image_noise import training_noise
+from thermosplat.training.sensor_facts import SensorFacts
 
 
 @dataclass(frozen=True)
@@ -52,16 +53,15 @@ class Recipe:
             checkpoint: What it goes on from; None: it begins.
             tolerances: Of a budget.
         """
-        noise_of = cache(partial(training_noise, frames))
         known = None if checkpoint is None else checkpoint.training.noisy
-        noisy = noisy_spectra(asked, noise_of) if known is None else known
-        notes = steps_note(asked, len(frames), noisy)
-        config = run_schedule(asked, len(frames), noisy)
+        facts = SensorFacts(asked, partial(training_noise, frames), known)
+        notes = steps_note(asked, len(frames), facts.noisy)
+        config = run_schedule(asked, len(frames), facts.noisy)
         if checkpoint is not None:
             # its noise has decided, whatever that of images of another size would
             trained = as_trained(config.modelled, checkpoint.model.decoders)
             config = replace(config, spectra={**config.spectra, **trained})
-        config, of_noise = fitted_to_noise(config, noise_of)
-        config, of_limit = with_limit(config, capture, noisy)
-        floors, of_floors = noise_floors(config, noise_of, tolerances.noise_floor)
-        return cls(asked, config, noisy, floors, (*notes, *of_noise, *of_floors, *of_limit))
+        config, of_noise = facts.fitted(config, blur_is_known=checkpoint is not None)
+        config, of_limit = with_limit(config, capture, facts.noisy)
+        floors, of_floors = noise_floors(config, facts, tolerances.noise_floor)
+        return cls(asked, config, facts.noisy, floors, (*notes, *of_noise, *of_floors, *of_limit))

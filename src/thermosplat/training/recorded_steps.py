@@ -39,8 +39,8 @@ class _Shape:
     """Of all the memory."""
     shared_cameras: tuple[tuple[str, ...], ...]
     """The spectra, in groups of one camera."""
-    kinds: tuple[tuple[bool, str, bool], ...]
-    """Whether the lens of each view is a fisheye lens, in which order its lines are read, and whether it has a mask."""
+    kinds: tuple[tuple[str, str, bool], ...]
+    """Which model the lens of each view has, in which order its lines are read, and whether it has a mask."""
 
 
 @dataclass(frozen=True)
@@ -180,5 +180,5 @@ def _shape(frame: FrameTensors) -> _Shape | None:
     if not frame.views:
         return None
     tensors = tuple((place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in frame.packable())
-    kinds = tuple((view.fisheye, view.line_order, view.mask is not None) for view in frame.views.values())
+    kinds = tuple((view.lens_model, view.line_order, view.mask is not None) for view in frame.views.values())
     return _Shape(tensors, len(packed_memory(frame)), frame.shared_cameras, kinds)

@@ -7,6 +7,8 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.training.exposures import FROM as EXPOSED_FROM
 
+DEPTH_SPREAD_FROM = 0.5
+"""Share of the steps before the spread of depths along rays counts. Open choice."""
 Group = tuple[str, ...]
 """Spectra that one camera renders, in the model's order."""
 
@@ -54,7 +56,7 @@ class StepKind:
         """
         return cls(
             sh_degree_at(config, step),
-            depth_spread=config.loss.depth_spread > 0 and step > config.loss.depth_spread_from * config.max_steps,
+            depth_spread=config.loss.depth_spread > 0 and step > DEPTH_SPREAD_FROM * config.max_steps,
             refining=bool(config.refine) and step > config.refine_from,
             exposing=step > EXPOSED_FROM * config.max_steps,
         )
@@ -77,4 +79,4 @@ class Plan:
 
 def sh_degree_at(config: TrainConfig, step: int) -> int:
     """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
-    return min(max(step - 1, 0) // config.sh_degree_interval, config.sh_degree)
+    return min(int(max(step - 1, 0) // config.sh_degree_interval), config.sh_degree)

@@ -95,8 +95,8 @@ class TrainingState:
         self.optimizers: dict[str, Optimizers] = {
             name: gaussian_optimizers(gaussians, config.optimizer) for name, gaussians in self.gaussian_sets.items()
         }
-        if model.decoders is not None:
-            self.optimizers["decoders"] = {"decoders": network_optimizer(model.decoders, config.optimizer)}
+        if any(True for _ in model.formations.parameters()):
+            self.optimizers["decoders"] = {"decoders": network_optimizer(model.formations)}
         self.exposures: Exposures | None = None
         exposed = [spectrum for name, spectrum in model.spectra.items() if config.spectra[name].exposure != "fixed"]
         if exposed:
@@ -130,6 +130,7 @@ class TrainingState:
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.scene_extent = capture.scene_extent
         self._seed = config.seed
+        self._batch_rate = math.sqrt(config.batch_size or 1)  # of the others, run_schedule has multiplied the rates
         self.noise = torch.Generator(device)
         self.seconds = Seconds()
         self.counts: dict[str, list[int]] | None = None
@@ -189,8 +190,7 @@ class TrainingState:
         self.take({name: model.gaussians(name) for name in self.gaussian_sets})
         for strategy in self.strategies.values():
             strategy.growing = True
-        if self.model.decoders is not None and model.decoders is not None:
-            self.model.decoders.load_state_dict(model.decoders.state_dict())
+        self.model.formations.load_state_dict(model.formations.state_dict())
         for parameter in [] if self.exposures is None else self.exposures.parameters():
             parameter.zero_()
         for owner in self.optimizers.keys() - self.gaussian_sets.keys():
@@ -251,7 +251,9 @@ class TrainingState:
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
             start_stream(self.noise, self.seed, "position noise", step)
         for owner, optimizers in self.optimizers.items():
-            scale = self.corrections.image_width if owner == "corrections" and self.corrections else scene_extent
+            scale = scene_extent
+            if owner == "corrections" and self.corrections is not None:
+                scale = self._batch_rate * self.corrections.image_width
             set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scale)
 
     def clear_gradients(self) -> None:
@@ -361,7 +363,7 @@ class TrainingState:
             setattr(self, name, getattr(training, name))
         self.kept_scenes = list(training.kept_scenes)
         for scene in filter(None, self.kept_scenes):
-            restored_sets(scene, checkpoint.config, list(self.model.spectra.values()))  # whether it can be
+            restored_sets(scene, checkpoint.config, self.model.formations)  # whether it can be
         self.load_budget(training)
         if training.noise_watch is not None:
             device = self.step_on_device.device

@@ -38,6 +38,9 @@ from thermosplat.training.step_kind import Group, Plan, StepKind, StepValues
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 
+DEPTH_SPREAD_LIMIT = 0.1
+"""v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet in a
+pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
 TAKING_PART = "taking part"
 """The loss term, always zero, that lets gradients travel between ranks."""
 
@@ -206,7 +209,7 @@ class TrainingStep:
             sh_degree=kind.sh_degree,
             absgrad=config.densification.absgrad,
             deterministic=config.deterministic,
-            depth_spread_limit=config.loss.depth_spread_limit if blends_depths else None,
+            depth_spread_limit=DEPTH_SPREAD_LIMIT if blends_depths else None,
             shaped_by=tuple(state.model.spectra)[:1] if kind.geometry_held else None,
         )
         if part.calls is None:
@@ -265,7 +268,7 @@ class TrainingStep:
             self.team.sum_in_place(list(numbers.values()))
             total |= gaussian_penalties(shares, weights, state.scene_extent, seen, numbers)
         weight = self.config.loss.feature_norm
-        if weight > 0 and SHARED in shares and state.model.decoders is not None:
+        if weight > 0 and SHARED in shares and state.model.has_features:
             penalty = weight * feature_norm_loss(shares[SHARED].features)
             share = len(shares[SHARED]) / max(state.num_gaussians(SHARED), 1)
             total["feature_norm"] = penalty if self.team.is_alone else share * penalty

@@ -7,7 +7,6 @@ of one view share one traversal of the Gaussians, and what is not asked for is n
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import torch
@@ -27,8 +26,7 @@ from thermosplat.thermal.radiometry import Palette, PixelScale
 from thermosplat.viewer.photographs import Photographs
 from thermosplat.viewer.viewed_scene import ViewedScene
 
-Kind = Literal["image", "depth", "opacity", "offset", "features", "error", "photograph"]
-_LABELS: dict[Kind, str] = {
+_LABELS = {
     "image": "{}",
     "depth": "depth, {}",
     "opacity": "opacity, {}",
@@ -37,6 +35,8 @@ _LABELS: dict[Kind, str] = {
     "error": "error, {}",
     "photograph": "photograph, {}",
 }
+_OTHERS = ("depth", "offset", "photograph")
+"""Layers that a render of the spectrum's image does not have."""
 _SPREAD = 3.0
 """Standard deviations of the features' principal components from black to full colour, to either side."""
 
@@ -45,15 +45,15 @@ _SPREAD = 3.0
 class Layer:
     """One thing to look at, in one spectrum."""
 
-    kind: Kind
-    """What it is."""
+    kind: str
+    """What it is: one of those that every scene has, or of the spectrum's ``Formation.layers``."""
     spectrum: str
     """In which spectrum."""
 
     @property
     def label(self) -> str:
         """Its name on the page."""
-        return _LABELS[self.kind].format(label(self.spectrum))
+        return _LABELS.get(self.kind, f"{self.kind}, {{}}").format(label(self.spectrum))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ def available_layers(scene: ViewedScene) -> list[Layer]:
     for name in spectra:
         if name in model.gaussians(model.set_of(name)).second_opacities:
             layers.append(Layer("offset", name))
-    if model.decoders is not None:
-        layers += [Layer("features", name) for name in spectra]
+    layers += [Layer("features", name) for name in spectra if model.formations[name].takes_features]
+    layers += [Layer(kind, name) for name in spectra for kind in model.formations[name].layers]
     photographed = [name for name in spectra if any(name in frame.views for frame in scene.frames)]
     layers += [Layer("error", name) for name in photographed]
     layers += [Layer("photograph", name) for name in photographed]
@@ -126,7 +126,7 @@ class LayerRenderer:
             The layers.
         """
         scene, wanted = self.scene, list(dict.fromkeys(layers))
-        from_model = {layer.spectrum for layer in wanted if layer.kind in ("image", "opacity", "features", "error")}
+        from_model = {layer.spectrum for layer in wanted if layer.kind not in _OTHERS}
         rendered = RenderedFrame()
         if from_model:
             rendered = scene.model.render(dict.fromkeys(from_model, view), sh_degree=scene.sh_degree)
@@ -150,6 +150,10 @@ class LayerRenderer:
         if layer.kind == "features":
             colors = _bytes(self.features_basis.colors(rendered.features[name], rendered.alphas[name]))
             return LayerImage(layer, None, colors, display_palette("white hot"), None, "", "features")
+        formation = self.scene.model.formations[name]
+        if layer.kind in formation.layers:
+            field = formation.layer(layer.kind, rendered).cpu().numpy()
+            return LayerImage(layer, field, None, display_palette("white hot"), (0.0, 1.0), "", layer.kind, 3)
         photograph = self.photographs.nearest(name, view)
         if layer.kind == "photograph":
             return image_layer(layer, torch.nan_to_num(photograph.image), scale, values=values, valid=photograph.valid)

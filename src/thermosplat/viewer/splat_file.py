@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from thermosplat.config import DecoderConfig, ModelConfig
 from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
+from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import Spectrum
@@ -98,7 +99,8 @@ def open_splats(path: Path, device: torch.device) -> tuple[ViewedScene, list[str
     gaussians = Gaussians(values)
     spectrum = Spectrum(SPECTRUM, 3, "photograph", "shared", (0, 0), None)
     config = ModelConfig(gaussian_sets="separate", feature_dim=0)
-    model = SceneModel(config, DecoderConfig(), [spectrum], {SPECTRUM: gaussians}, placement=placement)
+    formations = Formations(config, DecoderConfig(), [spectrum])
+    model = SceneModel(config, formations, {SPECTRUM: gaussians}, placement=placement)
     return ViewedScene(path.name, model.to(device).eval(), degree, {SPECTRUM: PixelScale("photograph")}, device), notes
 
 

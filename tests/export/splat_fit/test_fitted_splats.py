@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from decoding_scene import cameras, decoding_model
+from decoding_scene import cameras, decoding_model, start_hybrid_at
 from thermosplat.errors import UserError
 from thermosplat.export.scene import spectrum_splats
 from thermosplat.export.splat_fit.fitted_splats import fit_splats
@@ -43,7 +43,8 @@ def test_the_numbers_are_those_of_the_images() -> None:
 def test_narrow_footprints_are_fitted_to_viewers_that_widen_them() -> None:
     """A model of narrow footprints whose decoder adds nothing: the fit alone brings others nearer to what it shows."""
     views, capture = cameras("rgb")
-    model = toy_model(toy_config(decoder={"hybrid_bias": -20.0}, eps2d=0.01), capture)
+    model = toy_model(toy_config(eps2d=0.01), capture)
+    start_hybrid_at(model, -20.0)
     fit = fit_splats(model, "rgb", capture.scales["rgb"], views, sh_degree=1, measured=views, passes=30)
     assert fit.after > fit.before + 10.0
 
@@ -68,7 +69,8 @@ def test_no_views_are_no_fit() -> None:
 def test_what_is_exact_already_stays() -> None:
     """Where no pass comes nearer, the splats are returned as they were: here those of a decoder that adds nothing."""
     views, capture = cameras("rgb")
-    model = toy_model(toy_config(decoder={"hybrid_bias": -20.0}), capture)
+    model = toy_model(toy_config(), capture)
+    start_hybrid_at(model, -20.0)
     fit = fit_splats(model, "rgb", capture.scales["rgb"], views, sh_degree=1, passes=1)
     assert fit.after == fit.before > 50
     torch.testing.assert_close(fit.splats.sh0, spectrum_splats(model, "rgb", capture.scales).sh0, rtol=0, atol=0)
@@ -77,7 +79,8 @@ def test_what_is_exact_already_stays() -> None:
 def test_views_without_splats_do_no_harm() -> None:
     """Cameras that see the background alone are exact from the start; the splats stay finite."""
     views, capture = cameras("rgb")
-    model = toy_model(toy_config(decoder={"hybrid_bias": 0.0, "covered_only": True}), capture)
+    model = toy_model(toy_config(), capture)
+    start_hybrid_at(model, 0.0)
     back = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
     away = [dataclasses.replace(view, viewmat=back @ view.viewmat) for view in views]
     scale = capture.scales["rgb"]

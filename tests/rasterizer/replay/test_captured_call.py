@@ -13,6 +13,8 @@ from gaussian_scenes import Scene, relative_error
 from rasterizer_replays import SEEN, Bench, images_of
 from thermosplat.rasterizer.replay import replayed_calls
 
+pytestmark = pytest.mark.rotating
+
 VARIANTS: dict[str, dict[str, Any]] = {
     "colors": {},
     "harmonics": {"sh_degree": 3},

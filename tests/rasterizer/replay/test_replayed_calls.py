@@ -1,8 +1,6 @@
 """When calls are captured, how many are kept, and when the plain call does the work."""
 
 import os
-import subprocess
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -10,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from forked_processes import run_python
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
 from thermosplat import rasterization
@@ -275,12 +274,13 @@ def test_the_switch() -> None:
             assert replay.counts()["rasterization"].plain == before + on
     finally:
         replay.enable(was)
-    code = "from thermosplat.rasterizer import replay; print(replay.is_enabled())"
-    for value, on in (("0", False), ("1", True), (None, True)):
-        environment = {name: set_to for name, set_to in os.environ.items() if name != "THERMOSPLAT_REPLAY"}
-        if value is not None:
-            environment["THERMOSPLAT_REPLAY"] = value
-        found = subprocess.run(
-            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-        )
-        assert found.stdout.strip() == str(on)
+    code = """
+import importlib, os
+from thermosplat.rasterizer.replay import replayed_calls
+for value in ("0", "1", None):
+    os.environ.pop("THERMOSPLAT_REPLAY", None)
+    if value is not None:
+        os.environ["THERMOSPLAT_REPLAY"] = value
+    print(importlib.reload(replayed_calls).is_enabled())
+"""
+    assert run_python("-c", code).stdout.split() == ["False", "True", "True"]

@@ -20,6 +20,8 @@ from thermosplat import (
     spherical_harmonics,
 )
 
+pytestmark = pytest.mark.rotating
+
 TILE = 8
 
 

@@ -20,6 +20,7 @@ from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.offset_shrinkage import drop_offsets
 from thermosplat.training.budget.tolerances import Tolerances
 from thermosplat.training.session.interruption import TrainingInterrupted
+from thermosplat.training.session.run_metrics import feature_channels, offsets_kept
 from thermosplat.training.stages.auto_budget import AutoBudget
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer, without
@@ -36,7 +37,7 @@ def budget_config(
     spectra: dict[str, dict[str, Any]] | None = None,
     **changes: Any,
 ) -> TrainConfig:
-    settings: dict[str, Any] = {"prune_at": (0.45,), "validate_every": 2, "patience": 1000}
+    settings: dict[str, Any] = {"prune_at": (0.45,), "validate_every": 2}
     budget = AutoBudgetConfig(**(settings | changes))
     return toy_run_config(max_steps, model=model, spectra=spectra, budget="auto", auto_budget=budget)
 
@@ -131,8 +132,8 @@ def test_worth_is_a_share_of_the_error_of_images_of_any_size(tmp_path: Path) -> 
 
 def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     """Without the gain that is asked for, growth ends after the patience."""
-    with tolerating(least_gain=1000.0):
-        trainer = toy_trainer(tmp_path, budget_config(patience=6), many_frames(toy_capture(), FRAMES))
+    with tolerating(least_gain=1000.0, growth_looks=3):
+        trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
     advance(trainer, 9)
     assert trainer.state.growing
     assert trainer.state.best_validation[0] > 0
@@ -160,14 +161,14 @@ def test_offsets_shrink_until_those_that_do_nothing_go(tmp_path: Path) -> None:
         with tolerating(offset_shrinkage=shrinkage):
             trainer = toy_trainer(tmp_path / str(shrinkage), budget_config(), capture)
         advance(trainer, 5)
-        kept[shrinkage] = trainer.model.offsets_kept["thermal"]
+        kept[shrinkage] = offsets_kept(trainer.model)["thermal"]
     assert kept[0.1] > kept[1e3] == 0.0
     trainer = toy_trainer(tmp_path, budget_config(), capture)
     advance(trainer, 18)
-    left = trainer.model.offsets_kept
+    left = offsets_kept(trainer.model)
     trainer.device_step.tolerances = Tolerances(offset_shrinkage=1e3)
     advance(trainer, 20)
-    assert trainer.model.offsets_kept == left
+    assert offsets_kept(trainer.model) == left
     assert left["thermal"] > 0.0
 
 
@@ -267,7 +268,7 @@ def test_offsets_of_each_spectrum_go_by_its_own_images(tmp_path: Path) -> None:
         gaussians.nir_opacity_offsets.copy_(torch.linspace(-3.0, 3.0, 60))
     change = trainer.budget.images(0)
     trainer.budget.drop_offsets(0)
-    kept = trainer.model.offsets_kept
+    kept = offsets_kept(trainer.model)
     assert list(kept) == ["thermal", "nir"]
     assert kept["thermal"] == 0.0
     assert 0.1 < kept["nir"] < 0.9
@@ -388,9 +389,9 @@ def test_latent_channels_go_with_the_last_pruning(tmp_path: Path) -> None:
     config = budget_config(20, prune_at=(0.45, 0.9))
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
     advance(trainer, 17)
-    assert trainer.model.feature_channels == 8
+    assert feature_channels(trainer.model) == 8
     trainer.train()
-    assert trainer.model.feature_channels == 1
+    assert feature_channels(trainer.model) == 1
     assert json.loads(trainer.run.metrics_json.read_text())["feature_channels"] == 1
     restored = SceneModel.from_checkpoint(load_checkpoint(trainer.run.checkpoint(20)), "cpu")
     assert restored.num_bytes == trainer.model.num_bytes

@@ -91,7 +91,7 @@ def test_channels_are_found(rank: int, others: dict[str, dict[str, Any]], aligne
     gaussians, frame = model.gaussians("shared"), change.frames[0]
     before = model.render(frame.views, sh_degree=1)
     left = reduce_features(model, optimizers, change, EXACT)
-    assert left == rank == model.feature_channels
+    assert left == rank
     assert gaussians.features.shape == (60, rank)
     basis = gaussians.feature_basis
     assert basis is not None
@@ -152,7 +152,7 @@ def test_supervised_channels_are_kept() -> None:
     left = {}
     for losses in (None, toy_config()):
         model, optimizers, change = model_of_rank(8)
-        first = model.decoders.shared_encoder[0]  # type: ignore[union-attr,index]
+        first = model.formations.decoder.shared_encoder[0]  # type: ignore[union-attr,index]
         with torch.no_grad():
             first.weight[:, :4] = 0.0  # type: ignore[union-attr,operator,index]
         change = ImageChange(model, change.frames, 1, losses)
@@ -174,7 +174,7 @@ def test_channels_of_three_spectra_are_kept_as_losses_see_them(losses: TrainConf
     """Where decoders look at nothing, the channels that are left are those of the spectra with a loss on channels."""
     model, optimizers, change = model_of_rank(8, others=("nir",), spectra=THREE)
     with torch.no_grad():
-        model.decoders.shared_encoder[0].weight.zero_()  # type: ignore[union-attr,index,operator]
+        model.formations.decoder.shared_encoder[0].weight.zero_()  # type: ignore[union-attr,index,operator]
     change = ImageChange(model, change.frames, 1, losses)
     assert reduce_features(model, optimizers, change, EXACT) == expected
     assert change.now() < EXACT
@@ -184,7 +184,7 @@ def test_what_no_image_shows_and_losses_see_alone_is_kept() -> None:
     """Where decoders look at nothing, the channels that losses supervise are left, and no other."""
     model, optimizers, change = model_of_rank(8)
     with torch.no_grad():
-        model.decoders.shared_encoder[0].weight.zero_()  # type: ignore[union-attr,index,operator]
+        model.formations.decoder.shared_encoder[0].weight.zero_()  # type: ignore[union-attr,index,operator]
     change = ImageChange(model, change.frames, 1, toy_config())
     assert reduce_features(model, optimizers, change, EXACT) == 4
     assert change.now() < EXACT
@@ -195,8 +195,8 @@ def model_of_two_halves() -> tuple[SceneModel, Optimizers, FrameTensors]:
     decoder = {"branches": "separate", "modulation": False, "covered_only": True}
     model, optimizers, change = model_of_rank(8, decoder=decoder)
     with torch.no_grad():
-        model.decoders.networks["rgb"][0].weight[:, 4:] = 0.0  # type: ignore[union-attr,index]
-        model.decoders.networks["thermal"][0].weight[:, :4] = 0.0  # type: ignore[union-attr,index]
+        model.formations.decoder.networks["rgb"][0].weight[:, 4:] = 0.0  # type: ignore[union-attr,index]
+        model.formations.decoder.networks["thermal"][0].weight[:, :4] = 0.0  # type: ignore[union-attr,index]
     return model, optimizers, change.frames[0]
 
 
@@ -205,7 +205,7 @@ def test_what_is_not_covered_does_not_count() -> None:
     model, optimizers, frame = model_of_two_halves()
     with torch.no_grad():
         model.gaussians("shared").thermal_opacity_offsets.fill_(-40.0)
-        model.decoders.networks["thermal"][0].weight *= 100.0  # type: ignore[union-attr,index,operator]
+        model.formations.decoder.networks["thermal"][0].weight *= 100.0  # type: ignore[union-attr,index,operator]
     assert reduce_features(model, optimizers, ImageChange(model, [frame], 1), EXACT) == 4
 
 
@@ -213,7 +213,7 @@ def test_spectra_count_by_their_errors() -> None:
     """Where thermal images are all but exact, RGB gives up its channels first, although it would change more."""
     model, optimizers, frame = model_of_two_halves()
     with torch.no_grad():
-        model.decoders.networks["thermal"][0].weight *= 0.1  # type: ignore[union-attr,index,operator]
+        model.formations.decoder.networks["thermal"][0].weight *= 0.1  # type: ignore[union-attr,index,operator]
         exact = render(model, frame, only=("thermal",)).images["thermal"]
     nearly = dataclasses.replace(frame.views["thermal"], image=exact + 1e-5)
     frame = dataclasses.replace(frame, views=frame.views | {"thermal": nearly})
@@ -263,7 +263,7 @@ def test_decoders_that_see_waves_of_the_features() -> None:
     """How images answer goes through the waves, too: here through them alone."""
     model, optimizers, change = model_of_rank(5, decoder={"fourier_frequency": 3.0})
     with torch.no_grad():
-        model.decoders.shared_encoder[0].weight[:, :8] = 0.0
+        model.formations.decoder.shared_encoder[0].weight[:, :8] = 0.0
     change = ImageChange(model, change.frames, 1, toy_config())
     assert reduce_features(model, optimizers, change, EXACT) == 5
     assert change.now() < EXACT

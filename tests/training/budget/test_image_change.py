@@ -36,9 +36,9 @@ def test_supervised_channels_are_images_too() -> None:
     """Those asked for are compared with what losses compare them with, although no image shows them."""
     capture = toy_capture()
     model, frame = toy_model(toy_config(), capture), toy_frame(capture)
-    assert model.decoders is not None
+    assert model.formations.decoder is not None
     with torch.no_grad():
-        for parameter in model.decoders.parameters():
+        for parameter in model.formations.decoder.parameters():
             parameter.zero_()
     losses = toy_config(spectra={"rgb": {"features": 0.0}})
     images, with_channel = ImageChange(model, [frame], 1), ImageChange(model, [frame], 1, losses)

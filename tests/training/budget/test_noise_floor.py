@@ -17,6 +17,7 @@ from thermosplat.losses.image_terms import compare_frame
 from thermosplat.training.budget.noise_floor import gradient_shares, noise_floors
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.image_noise import training_noise
+from thermosplat.training.sensor_facts import SensorFacts
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
 from toy_run import (
@@ -81,7 +82,9 @@ def test_floor_is_a_share_of_the_noise_of_each_spectrum(tmp_path: Path) -> None:
     capture = noisy(many_frames(toy_capture(), 12), rgb=12, thermal=3)
     with tolerating(noise_floor=0.8):
         trainer = toy_trainer(tmp_path / "a", floored(), capture)
-    floors, notes = noise_floors(trainer.config, partial(training_noise, trainer.frames), 0.8)
+    floors, notes = noise_floors(
+        trainer.config, SensorFacts(trainer.config, partial(training_noise, trainer.frames)), 0.8
+    )
     assert floors["rgb"] == pytest.approx(0.8 * (12 / 255) ** 2, rel=0.15)
     assert floors["thermal"] == pytest.approx(0.8 * (3 / 255) ** 2, rel=0.2)
     assert trainer.state.noise_watch is not None

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +145,13 @@ def test_floors_follow_the_noise() -> None:
     assert watch.floors["rgb"].tolist() == pytest.approx([0.0025, 0.0075])
 
 
+@pytest.fixture(autouse=True)
+def _growth_ends_at_once() -> Iterator[None]:
+    """And no spectrum is held or sent back, but where a test says after how many looks."""
+    with tolerating(growth_looks=1):
+        yield
+
+
 @pytest.fixture
 def worse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Withheld views lose a decibel of RGB in every step."""
@@ -155,10 +163,9 @@ def worse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(NoiseWatch, "judge", judged)
 
 
-def watched(**changes: float) -> TrainConfig:
+def watched() -> TrainConfig:
     """A short run that withholds two frames, and whose growth ends at once."""
-    settings = {"prune_at": (0.2,), "validate_every": 2, "patience": 1}
-    return toy_run_config(100, budget="auto", auto_budget=AutoBudgetConfig(**(settings | changes)))  # type: ignore[arg-type]
+    return toy_run_config(100, budget="auto", auto_budget=AutoBudgetConfig(prune_at=(0.2,), validate_every=2))
 
 
 def noisy_run(folder: Path, config: TrainConfig, noise: float, frames: int = FRAMES) -> Trainer:
@@ -210,11 +217,12 @@ def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path) -> None:
         assert trainer.state.noise_watch.over
 
 
+@tolerating(spectrum_looks=1)
 def test_few_noisy_views_stay_withheld_up_to_the_last_removal(
     tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As many do, where images count as noisy: only they say when noise is learnt. RGB falls and goes back."""
-    trainer = noisy_run(tmp_path, watched(spectrum_patience=2), NOISE, FRAMES - 2)
+    trainer = noisy_run(tmp_path, watched(), NOISE, FRAMES - 2)
     trainer.budget.noisy = True  # type: ignore[union-attr]
     advance(trainer, 19)
     watch = trainer.state.noise_watch
@@ -227,10 +235,10 @@ def test_few_noisy_views_stay_withheld_up_to_the_last_removal(
     assert "Withheld RGB views were best after step" in capsys.readouterr().out
 
 
-@tolerating(few_views_until=0.12, fallen_views_until=0.16)
+@tolerating(few_views_until=0.12, fallen_views_until=0.16, spectrum_looks=2)
 def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]) -> None:
     """RGB falls by a decibel in each step, and has no noise."""
-    config = watched(spectrum_patience=4)
+    config = watched()
     trainer = advance(noisy_run(tmp_path, config, 1e-9, FRAMES - 2), 15)
     assert not trainer.state.growing
     assert trainer.state.taught == ()
@@ -244,7 +252,7 @@ def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytes
 
 
 @pytest.mark.parametrize(("again", "released"), [(14, 14), (16, 16)])
-@tolerating(few_views_until=0.12, fallen_views_until=0.16)
+@tolerating(few_views_until=0.12, fallen_views_until=0.16, spectrum_looks=2)
 def test_few_views_that_fell_for_a_while_send_nothing_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: int, released: int
 ) -> None:
@@ -255,7 +263,7 @@ def test_few_views_that_fell_for_a_while_send_nothing_back(
         return judge(watch, step, psnrs | {"rgb": 49.0 if 6 <= step < again else 50.0}, *others, **named)
 
     monkeypatch.setattr(NoiseWatch, "judge", judged)
-    config = watched(spectrum_patience=4)
+    config = watched()
     trainer = advance(noisy_run(tmp_path, config, 1e-9, FRAMES - 2), released - 1)
     watch = trainer.state.noise_watch
     assert watch is not None
@@ -266,12 +274,13 @@ def test_few_views_that_fell_for_a_while_send_nothing_back(
     assert trainer.state.taught == ()
 
 
+@tolerating(spectrum_looks=1)
 def test_a_held_spectrum_goes_back_at_the_last_removal(
     tmp_path: Path, worse: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Until then RGB is fitted no further than when it was best; then the scene of then teaches it, as the user is
     told, and nothing is withheld any more."""
-    trainer = noisy_run(tmp_path, watched(spectrum_patience=2), NOISE)
+    trainer = noisy_run(tmp_path, watched(), NOISE)
     advance(trainer, 19)
     watch = trainer.state.noise_watch
     assert watch is not None
@@ -287,12 +296,13 @@ def test_a_held_spectrum_goes_back_at_the_last_removal(
 
 
 @pytest.mark.parametrize("batch_size", [None, 2])
+@tolerating(spectrum_looks=2)
 def test_resumed_run_is_the_same(
     tmp_path: Path, worse: None, monkeypatch: pytest.MonkeyPatch, batch_size: int | None
 ) -> None:
     """Cut before a spectrum is held, after that, and when it has gone back to its best."""
     monkeypatch.setattr("thermosplat.training.recipe.noise_floors", lambda *of: ({"rgb": NOISE}, ()))
-    config = dataclasses.replace(watched(spectrum_patience=4), batch_size=batch_size)
+    config = dataclasses.replace(watched(), batch_size=batch_size)
     capture = many_frames(toy_capture(), FRAMES)
     end = 24 if batch_size is None else 12
     whole = advance(noisy_run(tmp_path / "whole", config, NOISE), end)

@@ -38,7 +38,7 @@ TAUGHT = StepKind(0, densifying=False, taught=("rgb",))
 def still(max_steps: int, **changes: Any) -> TrainConfig:
     """A run whose budget and density control do nothing else."""
     budget = AutoBudgetConfig(prune_at=())
-    settings = {"budget": "auto", "auto_budget": budget, "densification": DensificationConfig(enabled=False)}
+    settings = {"budget": "auto", "auto_budget": budget, "densification": DensificationConfig(stop_step=0)}
     return toy_run_config(max_steps, **(settings | changes))
 
 

@@ -11,13 +11,14 @@ from torch import Tensor
 from thermosplat.config import DensificationConfig, OptimizerConfig
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians
+from thermosplat.training.density import decomposition
 from thermosplat.training.density.decomposition import DecomposingStrategy
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.density.gradient_control import DefaultStrategy
 from thermosplat.training.optimizers import gaussian_optimizers, set_learning_rates
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from toy_run import step_gradients, toy_run_config, toy_trainer
+from toy_run import density_in_steps, step_gradients, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 OFF = 0.003
@@ -41,8 +42,8 @@ def two_opacity_gaussians(opacities: list[float], thermal_opacities: list[float]
 
 
 def strategy_of(gaussians: Gaussians, **config: Any) -> tuple[DecomposingStrategy, Optimizers]:
-    settings = {"strategy": "decomposing", "grad_threshold": 2e-4, "conflict_threshold": 2e-4} | config
-    densification = DensificationConfig(**settings)
+    settings = {"strategy": "decomposing", "grad_threshold": 2e-4} | config
+    densification = density_in_steps(**settings)
     strategy = DecomposingStrategy(densification, 3.0, len(gaussians), "cpu", spectra=("rgb", "thermal"))
     return strategy, gaussian_optimizers(gaussians, OptimizerConfig())
 
@@ -224,7 +225,7 @@ def test_any_two_spectra_are_divided() -> None:
     gaussians = two_opacity_gaussians([0.6], [0.8])
     renamed = {name.replace("thermal", "nir"): value for name, value in gaussians.named_parameters()}
     gaussians = Gaussians({name: value.detach() for name, value in renamed.items()})
-    config = DensificationConfig(strategy="decomposing", grad_threshold=2e-4, conflict_threshold=2e-4)
+    config = density_in_steps(strategy="decomposing", grad_threshold=2e-4)
     strategy = DecomposingStrategy(config, 3.0, 1, "cpu", spectra=("thermal", "nir"))
     strategy.observe([info("nir", [[0.0, 4e-4]]), info("thermal", [[5e-4, 0.0]])], FINE)
     torch.testing.assert_close(strategy.gradient_sums[:, 0], torch.tensor([[5e-4, 0.0], [0.0, 4e-4]]))
@@ -246,14 +247,15 @@ def test_spectra_are_rendered_apart(tmp_path: Path) -> None:
         assert [info["spectra"] for info in done.rendered.infos["shared"]] == expected
 
 
-def test_resumed_run_may_begin_to_divide(tmp_path: Path) -> None:
+def test_resumed_run_may_begin_to_divide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run without decomposition goes on with it, as every setting of densification may change on --resume."""
     config = toy_run_config(12, spectra={"thermal": {"opacity": "own"}})
     first = toy_trainer(tmp_path, config, toy_capture())
     while first.step < 5:
         first._train_step()
     first.save()
-    densification = dataclasses.replace(config.densification, strategy="decomposing", conflict_threshold=1e-6)
+    densification = dataclasses.replace(config.densification, strategy="decomposing")
+    monkeypatch.setattr(decomposition, "CONFLICT_THRESHOLD", 1e-6)
     changed = dataclasses.replace(config, densification=densification)
     resumed = Trainer.resume(changed, toy_capture(), RunDirectory.open(tmp_path))
     while resumed.step < 7:  # to the next refinement

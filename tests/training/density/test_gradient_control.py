@@ -10,12 +10,18 @@ from random_gaussians import random_gaussians, stepped_optimizers
 from thermosplat.config import DensificationConfig
 from thermosplat.errors import UserError
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.training.density import gradient_control as densification
+from thermosplat.training.density import gradient_control
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.density.gradient_control import DefaultStrategy, Refinement
+from toy_run import density_in_steps
 
 EXTENT = 3.0
 FINE = torch.zeros(())
+
+
+@pytest.fixture(autouse=True)
+def _toy_sizes() -> None:
+    """Sizes are the published ones here."""
 
 
 def _info(gradient: Tensor, visible: Tensor, width: int = 40, height: int = 30) -> dict[str, Any]:
@@ -45,7 +51,7 @@ def _run(
 
 def _strategy(gaussians: Gaussians, **config: Any) -> DefaultStrategy:
     config = {"grad_threshold": 2e-4} | config  # 3DGS's and gsplat's
-    return DefaultStrategy(DensificationConfig(**config), EXTENT, len(gaussians), "cpu")
+    return DefaultStrategy(density_in_steps(**config), EXTENT, len(gaussians), "cpu")
 
 
 def test_a_share_without_gaussians_notes_nothing() -> None:
@@ -105,7 +111,7 @@ def test_switched_off_changes_nothing() -> None:
     """Without densification neither refinement nor reset happens."""
     gaussians = random_gaussians(50)
     opacities = gaussians.opacities.detach()
-    strategy = _strategy(gaussians, enabled=False)
+    strategy = _strategy(gaussians, stop_step=0)
     assert _run(strategy, gaussians, stepped_optimizers(gaussians), [_info(*_gradients(50, 0))], 3000) is None
     assert len(gaussians) == 50
     torch.testing.assert_close(gaussians.opacities, opacities, atol=0.02, rtol=0)  # one optimizer step away
@@ -173,7 +179,7 @@ def test_large_ones_go_only_later() -> None:
             gaussians.logit_opacities.fill_(0.0)
             gaussians.log_scales.fill_(-4.0)
             gaussians.log_scales[:5] = 0.0  # a third of the scene
-        strategy = _strategy(gaussians, prune_large_from=600)
+        strategy = _strategy(gaussians, reset_every=600)
         refinement = strategy.refine(gaussians, stepped_optimizers(gaussians), step, torch.Generator())
         assert refinement == Refinement(pruned=expected)
 
@@ -267,13 +273,14 @@ def test_out_of_memory_between_two_operations(monkeypatch: pytest.MonkeyPatch) -
     """Memory that runs out after growing, before pruning, leaves sums that fit the Gaussians there are."""
     gaussians = random_gaussians(20)
     gaussians.set_opacity_logits(torch.tensor([0]), torch.tensor([-20.0]), {"thermal": torch.tensor([-20.0])})
-    strategy = _strategy(gaussians, grow_scale3d=0.02)
+    strategy = _strategy(gaussians)
+    monkeypatch.setattr(gradient_control, "GROW_SCALE3D", 0.02)
     info = _info(torch.full((1, 20, 2), 1.0), torch.ones(1, 20, dtype=torch.bool))
 
     def exhausted(*args: object) -> None:
         raise torch.OutOfMemoryError
 
-    monkeypatch.setattr(densification, "prune", exhausted)
+    monkeypatch.setattr(gradient_control, "prune", exhausted)
     with pytest.raises(torch.OutOfMemoryError):
         _run(strategy, gaussians, stepped_optimizers(gaussians), [info], 601)
     assert len(gaussians) > 20

@@ -15,7 +15,15 @@ from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gradient_control import Refinement
 from thermosplat.training.density.mcmc import McmcStrategy
-from toy_run import assert_same_state, many_frames, state_tensors, stopped_and_resumed, toy_run_config, toy_trainer
+from toy_run import (
+    assert_same_state,
+    density_in_steps,
+    many_frames,
+    state_tensors,
+    stopped_and_resumed,
+    toy_run_config,
+    toy_trainer,
+)
 from toy_scene import toy_capture
 
 FINE = torch.zeros(())
@@ -24,7 +32,7 @@ SPECTRA: list[dict[str, dict[str, Any]]] = [{}, {"nir": {"opacity": "own"}}]
 
 
 def strategy_of(gaussians: Gaussians, **config: Any) -> McmcStrategy:
-    settings = DensificationConfig(**({"strategy": "mcmc", "max_gaussians": 1000} | config))
+    settings = density_in_steps(**({"strategy": "mcmc", "max_gaussians": 1000} | config))
     return McmcStrategy(settings, 3.0, len(gaussians), "cpu")
 
 

@@ -4,8 +4,6 @@ import dataclasses
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from capture_folders import rgb_image, write_image, write_rgbt_scenes
+from forked_processes import run_python
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError, StoredPixels
@@ -256,8 +255,7 @@ def test_signals_leave_them_alone(loader: FrameLoader, begins_after: float, monk
 
 
 SCRIPT = """
-import os, sys
-sys.path[:0] = {path!r}
+import os
 from thermosplat.datasets import load_capture
 from thermosplat.training.frames.frame_loader import FrameLoader, stored_views
 loader = FrameLoader([stored_views(frame) for frame in load_capture({root!r}, image_memory=1e-9).train], 2)
@@ -272,9 +270,7 @@ print(*(process.pid for one in (loader, other) for process in one._reading._proc
 @pytest.mark.parametrize("end", ["os.kill(os.getpid(), 9)", "raise KeyError"])
 def test_none_is_left_behind(root: Path, end: str) -> None:
     """However the process that trains ends, those that read end, too, and it does not wait for them for long."""
-    script = SCRIPT.format(path=sys.path, root=str(root), end=end)
-    # its output ends when the last of them has gone
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = run_python("-c", SCRIPT.format(root=str(root), end=end), seconds=60)
     pids = [int(pid) for pid in done.stdout.split()]
     assert len(pids) == 3, done.stderr
     until = time.monotonic() + 60

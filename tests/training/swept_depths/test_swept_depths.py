@@ -97,7 +97,7 @@ def test_a_scene_is_drawn_to_them(tmp_path: Path) -> None:
         max_steps=60,
         spectra=spectra,
         optimizer=dataclasses.replace(config.optimizer, **(held | {"means_lr": 1e-2, "means_lr_final": 1e-3})),
-        densification=dataclasses.replace(config.densification, enabled=False),
+        densification=dataclasses.replace(config.densification, stop_step=0),
     )
     run = toy_trainer(tmp_path / "drawn", config, capture)
     run.model.load_state_dict(scene)
@@ -180,7 +180,6 @@ def test_unknown_pixels_are_nan() -> None:
     """What a sweep does not know is not drawn anywhere: a target of NaN has no term."""
     swept = SweptDepths(
         {"thermal": 1.0},
-        0.1,
         {("thermal", (2, 3)): torch.full((1, 2, 3), math.nan)},
         {("thermal", (2, 3)): torch.tensor([0])},
     )

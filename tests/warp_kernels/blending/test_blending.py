@@ -20,6 +20,8 @@ from warp_kernels.projection.projection import ProjectedArrays
 from warp_kernels.rasterization import scalar_view
 from warp_scene import WarpScene, image_opacities, projected, warp_scene
 
+pytestmark = pytest.mark.rotating
+
 CROWD = 900
 """Gaussians of which hundreds share a tile."""
 

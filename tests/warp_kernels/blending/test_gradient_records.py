@@ -15,6 +15,8 @@ from warp_kernels.blending.gradient_records import (
     sums_apart,
 )
 
+pytestmark = pytest.mark.rotating
+
 
 @pytest.mark.parametrize("absgrad", [False, True])
 @pytest.mark.parametrize("thermal_channels", [0, 2])

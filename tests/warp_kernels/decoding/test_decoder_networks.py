@@ -13,6 +13,8 @@ from warp_kernels.decoding.decoder_adjoint import decode_adjoint_kernel
 from warp_kernels.decoding.decoder_memory import TEAMS, layout_of, padded_inputs
 from warp_kernels.decoding.decoder_networks import HIDDEN, decode_kernel
 
+pytestmark = pytest.mark.rotating
+
 PIXELS, PROGRAMS = 300, 2
 """More than two blocks decode at once, and no multiple of what one does."""
 

@@ -1,8 +1,6 @@
 """Kernels are made and loaded once, whoever asks; what takes long is told, and what cannot be read too."""
 
 import errno
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -10,6 +8,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+from forked_processes import run_python
 from warp_kernels.machinery import loading
 from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import KernelCacheError, first_use, made_once, must_compile
@@ -161,8 +160,7 @@ except UserError as error:
 def test_a_cache_that_cannot_be_used_is_told(when: str, tmp_path: Path) -> None:
     """To users of the rasterizer, in a sentence that names the place and the variable."""
     (tmp_path / "file").touch()
-    command = [sys.executable, "-c", CACHE_IS_NO_FOLDER, str(tmp_path / "file" / "cache"), when]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = run_python("-c", CACHE_IS_NO_FOLDER, tmp_path / "file" / "cache", when, seconds=120)
     assert done.returncode == 0, done.stderr
     assert str(tmp_path / "file") in done.stdout
     assert "WARP_CACHE_PATH=FOLDER" in done.stdout

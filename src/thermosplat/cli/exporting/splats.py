@@ -63,7 +63,7 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
     from thermosplat.export.scene import scene_splats
 
     names = arguments.chosen(list(loaded.model.spectra))
-    if loaded.model.decoders is None or arguments.fit_passes == 0:
+    if all(loaded.model.formations[name].exact_splats for name in names) or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.cli.exporting.fit_progress import shown_steps

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.scene import Colors, decoded_features, shown_colors
+from thermosplat.export.scene import Colors, shown_colors
 from thermosplat.export.splat_rendering import render_splats
 from thermosplat.export.splats import Splats
 from thermosplat.image_quality.metrics import psnr
@@ -35,14 +35,8 @@ class ExactImages:
     @torch.no_grad()
     def _background(self) -> Tensor:
         """What the model shows where there are no Gaussians, [3]; splats shall not take it up."""
-        model, name = self.model, self.name
-        empty = torch.zeros(1, self.scale.channels, device=model.background.device)
-        if model.decoders is not None and not model.decoder_config.covered_only:
-            features = model.gaussians(model.set_of(name)).features
-            empty = decoded_features(model, name, torch.zeros_like(features[:1]))
-        if name == model.photograph and model.decoder_config.hybrid:
-            empty = empty + model.background
-        return shown_colors(empty[:, None].clamp(0, 1), self.scale, self.colors)[0, 0]
+        empty = self.model.formations[self.name].behind(self.model.background)
+        return shown_colors(empty[None, None].clamp(0, 1), self.scale, self.colors)[0, 0]
 
     @torch.no_grad()
     def image(self, view: ViewTensors) -> Tensor:

@@ -23,8 +23,6 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.training.budget.image_change import ImageChange, most_within
 from thermosplat.training.density.gaussian_ops import Optimizers, in_new_basis, kept_on_failure
 
-_OfTensor = Callable[[Tensor], Tensor]
-
 _PIXELS = 2**15
 """Most pixels of an image whose Jacobian is looked at, spread over all of it."""
 _LEAST_ANSWER = 1e-9
@@ -88,9 +86,6 @@ def principal_directions(answers: Tensor, moments: Tensor) -> tuple[Tensor, Tens
 
 def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
     """M, each spectrum's divided by its error, and S, of the coordinates that are blended now; on the CPU."""
-    decoders = model.decoders
-    if decoders is None:
-        raise ValueError("A model without decoders has no features.")
     device, dim = model.background.device, model.config.feature_dim
     answers, moments = torch.zeros(2, dim, dim, device=device, dtype=torch.float64)
     for frame in change.frames:
@@ -100,11 +95,9 @@ def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
                 continue
             alpha = rendered.alphas[name]
             every = -(-alpha.numel() // _PIXELS)
-            covered = alpha.flatten()[::every]
-            if not model.decoder_config.covered_only:
-                covered = torch.ones_like(covered)
-            inputs, image = partial(model.decoder_input, frame.views[name]), partial(decoders.image, name)
-            answers += _answers(inputs, image, features, covered, every) / change.errors[name]
+            shown = model.formations[name].pixels_of_features
+            pixels = partial(shown, alpha=alpha, view=frame.views[name], every=every)
+            answers += _answers(pixels, features, every) / change.errors[name]
             blended = features.flatten(0, 1)[::every].double()
             moments += blended.T @ blended / len(blended)
     for name, spectrum in model.spectra.items():
@@ -120,21 +113,19 @@ def _moments(model: SceneModel, change: ImageChange) -> tuple[Tensor, Tensor]:
 
 
 @torch.enable_grad()
-def _answers(inputs: _OfTensor, image: _OfTensor, features: Tensor, covered: Tensor, every: int) -> Tensor:
-    """Mean of JᵀJ over channels, and over each so many-th pixel, of an image decoded of features [H, W, d].
+def _answers(shown: Callable[[Tensor], Tensor], features: Tensor, every: int) -> Tensor:
+    """Mean of JᵀJ over channels, and over each so many-th pixel, of an image that is formed of features [H, W, d].
 
     Args:
-        inputs: What decoders see of features.
-        image: What they make of that, by pixel.
+        shown: The pixels that are looked at, [P, C], of features.
         features: A_f, [H, W, d].
-        covered: How far the image is covered at the pixels that are looked at, [P].
         every: So many-th.
     """
     features = features.detach().requires_grad_()
-    decoded = image(inputs(features).flatten(0, 1)[::every]) * covered.detach()[:, None]
+    pixels = shown(features)
     total = features.new_zeros(features.shape[-1], features.shape[-1], dtype=torch.float64)
-    for channel in decoded.unbind(-1):
+    for channel in pixels.unbind(-1):
         (gradient,) = torch.autograd.grad(channel.sum(), features, retain_graph=True)
         of_pixels = gradient.flatten(0, 1)[::every].double()
         total += of_pixels.T @ of_pixels
-    return total / decoded.numel()
+    return total / pixels.numel()

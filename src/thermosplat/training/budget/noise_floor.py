@@ -18,17 +18,17 @@ from thermosplat.config import TrainConfig
 from thermosplat.losses.image_terms import ComparedFrame
 from thermosplat.spectra import label
 from thermosplat.training.budget.tolerances import TOLERANCES
-from thermosplat.training.image_noise import NoiseOf
+from thermosplat.training.sensor_facts import SensorFacts
 
 
 def noise_floors(
-    config: TrainConfig, noise_of: NoiseOf, share: float = TOLERANCES.noise_floor
+    config: TrainConfig, facts: SensorFacts, share: float = TOLERANCES.noise_floor
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """The squared errors below which views are not fitted: with ``--budget auto``.
 
     Args:
         config: The whole configuration.
-        noise_of: The noise of a spectrum's training images.
+        facts: The noise of each spectrum's training images.
         share: Of its variance.
 
     Returns:
@@ -36,7 +36,7 @@ def noise_floors(
     """
     floors, notes = {}, []
     for name in config.modelled if config.budget == "auto" and share > 0 else ():
-        noise = noise_of(name)
+        noise = facts.noise(name)
         if noise is None or noise.plain == 0:
             continue
         floors[name] = share * noise.plain**2

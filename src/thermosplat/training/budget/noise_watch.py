@@ -159,7 +159,7 @@ class NoiseWatch:
         step: int,
         psnrs: Mapping[str, float],
         loss: float,
-        patience: int,
+        patience: float,
         teacher: Callable[[], Teacher | None] = lambda: None,
         *,
         noisy_only: bool = True,

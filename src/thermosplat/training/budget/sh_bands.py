@@ -101,8 +101,8 @@ def _bands(model: SceneModel, frames: Iterable[FrameTensors], sh_degree: int) ->
     """All coefficients above degree 0 that are rendered."""
     weights = squared_contributions(model, frames)
     for row, spectrum in enumerate(model.spectra):
-        if model.decoders is not None and spectrum != model.photograph:
-            continue  # decoded from features
+        if not model.formations[spectrum].takes_colors:
+            continue
         name = model.set_of(spectrum)
         gaussians = model.gaussians(name)
         coefficients = gaussians.sh_coeffs_of(spectrum)

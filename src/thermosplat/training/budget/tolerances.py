@@ -36,6 +36,11 @@ class Tolerances:
     would be over a tenth."""
     least_gain: float = 0.02
     """Rise of the validation views' PSNR [dB], mean over views and spectra, that justifies more Gaussians."""
+    growth_looks: int = 12
+    """Looks at the validation views without such a rise after which growth stops: as long as from one opacity reset to
+    the next. Too many Gaussians cost time alone, since pruning follows; too few cannot be made good."""
+    spectrum_looks: int = 4
+    """So many looks ago a spectrum must have been best to be held there, if its images are noisy."""
     spectrum_loss: float = 0.05
     """Fall of the validation views' PSNR in one spectrum [dB] from which on it learns noise, if its images are noisy:
     it is held where it was best, and goes back to it at the last pruning if it is so far below then."""
@@ -48,7 +53,7 @@ class Tolerances:
     as far below its best there, since a scene may be worse for a while."""
     spectrum_fall: float = 0.3
     """Fall of such a capture's validation views in one spectrum [dB] from which on it goes back to where it was best,
-    whatever its noise: in all of the last ``auto_budget.spectrum_patience`` steps before they are released."""
+    whatever its noise: in all of the last ``spectrum_looks`` before they are released."""
     held_change: float = 0.02
     """A spectrum that went back is compared with what the scene showed when it was best. A view that differs from that
     by less than this change has no gradient in it: the other spectra alone shape the scene."""

@@ -18,6 +18,13 @@ from thermosplat.training.density.gradient_control import DefaultStrategy
 
 VISIBLE_OPACITY = 1.0 / 255.0
 """Opacity from which on the renderer draws a Gaussian. MMOne takes 1/256."""
+CONFLICT_THRESHOLD = 2e-4
+"""Difference of two spectra's mean means2d gradients, in units of half the image, from which on a Gaussian becomes one
+of each. MMOne (mm_decompose_threshold)."""
+KEEP_OPACITY = 0.5
+"""A Gaussian that is faint in one spectrum goes unless its opacity in the other is above this. MMOne."""
+OFF_OPACITY = 0.003
+"""Opacity of a Gaussian of one spectrum in the other, below what is drawn. MMOne."""
 
 
 class DecomposingStrategy(DefaultStrategy):
@@ -93,8 +100,7 @@ class DecomposingStrategy(DefaultStrategy):
         views = self.observations.clamp(min=1.0)
         apart = (self.gradient_sums[0] - self.gradient_sums[1]).norm(dim=-1) / views
         fainter = torch.minimum(gaussians.opacities, gaussians.opacities_in(self.second))
-        threshold = self.config.conflict_threshold
-        pulled = (apart >= threshold) & (self.grad_norm_sum / views >= threshold)
+        pulled = (apart >= CONFLICT_THRESHOLD) & (self.grad_norm_sum / views >= CONFLICT_THRESHOLD)
         return self._within_cap(pulled & (fainter > VISIBLE_OPACITY), apart)
 
     @torch.no_grad()
@@ -119,11 +125,11 @@ class DecomposingStrategy(DefaultStrategy):
 
     def _clear(self, gaussians: Gaussians) -> Tensor:
         """Mask of the Gaussians that a spectrum sees clearly, [N]."""
-        return gaussians.largest_opacities > self.config.keep_opacity
+        return gaussians.largest_opacities > KEEP_OPACITY
 
     def _switch_off(self, gaussians: Gaussians, optimizers: Optimizers, name: str, selected: Tensor) -> None:
         """Let a spectrum see Gaussians, mask [N], no more. ``name`` is that of its opacity."""
-        off = self.config.off_opacity
+        off = OFF_OPACITY
         gaussians.get_parameter(name)[selected] = math.log(off / (1.0 - off))
         # Momentum goes on without gradients and would bring some back: after steady ones it makes nine more steps of
         # the rate, which at MMOne's 0.05 is 0.45 in the logit, and from 0.003 to 1/255 it is 0.27.

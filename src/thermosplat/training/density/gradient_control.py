@@ -25,6 +25,11 @@ from thermosplat.training.density.gaussian_ops import Optimizers, grow, prune, r
 from thermosplat.training.density.strategy import Refinement
 from thermosplat.training.frames.spectrum_schedule import Span
 
+GROW_SCALE3D = 0.01
+"""Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""
+PRUNE_SCALE3D = 0.1
+"""Gaussians larger than this share of the scene's extent go, after the first reset of opacities. 3DGS."""
+
 
 class DefaultStrategy:
     """3DGS's density control of one set of Gaussians; the interface is ``Strategy``'s.
@@ -73,7 +78,7 @@ class DefaultStrategy:
         """Whether gradients of this step count towards a refinement."""
         if self.span is not None and step not in self.span:
             return False
-        return self.config.enabled and self._schedule_step(step) < self.config.stop_step
+        return self._schedule_step(step) < self.config.stop_step
 
     def has_started(self, step: int) -> bool:
         """Whether the set is old enough for refinements after this step."""
@@ -82,7 +87,7 @@ class DefaultStrategy:
     def has_ended(self, step: int) -> bool:
         """Whether no gradients count any more after this step."""
         over = self.span is not None and step >= self.span.end
-        return over or not self.config.enabled or self._schedule_step(step) + 1 >= self.config.stop_step
+        return over or self._schedule_step(step) + 1 >= self.config.stop_step
 
     def refines_at(self, step: int) -> bool:
         """Whether Gaussians are added and removed at this step."""
@@ -141,7 +146,7 @@ class DefaultStrategy:
             finally:  # also where memory ran out between two operations: the sums must fit the Gaussians there are
                 self.forget(len(gaussians))
         if self.resets_at(step):
-            reset_opacities(gaussians, optimizers, self.config.reset_opacity)
+            reset_opacities(gaussians, optimizers, 2.0 * self.config.prune_opacity)
         return refinement
 
     def move(self, gaussians: Gaussians, optimizers: Optimizers, blocked: Tensor, generator: torch.Generator) -> None:
@@ -203,7 +208,7 @@ class DefaultStrategy:
         """Masks of the Gaussians to clone and to split, each [N]."""
         gradient = self.grad_norm_sum / self.observations.clamp(min=1.0)
         grows = self._within_cap(gradient > self.config.grad_threshold, gradient)
-        is_small = gaussians.scales.amax(dim=-1) <= self.config.grow_scale3d * self.scene_extent
+        is_small = gaussians.scales.amax(dim=-1) <= GROW_SCALE3D * self.scene_extent
         return grows & is_small, grows & ~is_small
 
     def _within_cap(self, doubled: Tensor, values: Tensor) -> Tensor:
@@ -223,7 +228,7 @@ class DefaultStrategy:
         if num_pruned == len(gaussians):
             raise UserError(
                 f"No Gaussian is left after the refinement of step {step:,}: all {num_pruned:,} were fainter than "
-                f"{self.config.prune_opacity} or larger than {self.config.prune_scale3d} of the scene.",
+                f"{self.config.prune_opacity} or larger than {PRUNE_SCALE3D} of the scene.",
                 "Check the camera poses, or lower --densification.prune-opacity.",
             )
         if num_pruned:
@@ -236,9 +241,9 @@ class DefaultStrategy:
         return fainter | self._too_large(gaussians, step)
 
     def _too_large(self, gaussians: Gaussians, step: int) -> Tensor:
-        if self._schedule_step(step) <= self.config.prune_large_from:
+        if self._schedule_step(step) <= self.config.reset_every:  # 3DGS: after the first reset
             return torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
-        return gaussians.scales.amax(dim=-1) > self.config.prune_scale3d * self.scene_extent
+        return gaussians.scales.amax(dim=-1) > PRUNE_SCALE3D * self.scene_extent
 
     def forget(self, num_gaussians: int) -> None:
         """Start the sums again, for this many Gaussians; in place where there are as many as before."""

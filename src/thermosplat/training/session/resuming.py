@@ -12,10 +12,10 @@ from thermosplat.evaluation.loaded_run import other_frames
 from thermosplat.runs.checkpoint import Checkpoint, damage_explained
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.spectra import label, latent_channels
+from thermosplat.spectra import STRUCTURE, label, latent_channels
 from thermosplat.training.sharing.shares import shares_of
 
-_START_ONLY = ("feature_noise", "init_opacity", "init_scale")
+_START_ONLY = ("init_opacity",)
 """Fields of ModelConfig that matter before the first step only."""
 _IMAGES = {
     "photograph": "photographs as {} images",
@@ -24,8 +24,6 @@ _IMAGES = {
     None: "no {} images",
 }
 """By the kind of their scale."""
-_SPECTRUM_STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "point_spread_noise")
-"""Fields of SpectrumConfig that decide which parameters there are."""
 
 
 def newest_checkpoint(run: RunDirectory) -> Checkpoint:
@@ -152,7 +150,7 @@ def _structure(config: TrainConfig) -> dict[str, Any]:
     structure["refine"] = " ".join(sorted(config.refine)) or "nothing"
     for name, ends in latent_channels(config.modelled).items():
         spectrum = config.modelled[name]
-        structure |= {f"spectra.{name}.{key}": getattr(spectrum, key) for key in _SPECTRUM_STRUCTURE}
+        structure |= {f"spectra.{name}.{key}": getattr(spectrum, key) for key in STRUCTURE}
         structure[f"spectra.{name}.features"] = "null" if ends[0] == ends[1] else "a number"
     for field in fields(ModelConfig):
         if field.name not in _START_ONLY:

@@ -8,6 +8,8 @@ from thermosplat.config import TrainConfig
 from thermosplat.image_quality.lpips import Lpips
 from thermosplat.refinement.camera_report import correction_summary
 from thermosplat.runs.devices import device_name
+from thermosplat.scene.initial_gaussians import SHARED
+from thermosplat.scene.model import SceneModel
 from thermosplat.training.training_state import TrainingState
 
 
@@ -40,8 +42,34 @@ def run_metrics(
         "gaussians": {name: len(gaussians) for name, gaussians in state.gaussian_sets.items()},
         "lpips_net": lpips.name if lpips is not None else None,
         "model_bytes": model.num_bytes,
-        "feature_channels": model.feature_channels,
-        "opacity_offsets_kept": model.offsets_kept,
-        "point_spreads": model.point_spreads,
+        "feature_channels": feature_channels(model),
+        "opacity_offsets_kept": offsets_kept(model),
+        "point_spreads": model.formations.found("point_spread"),
+        "formations": {name: dict(model.formations[name].numbers()) for name in model.spectra},
         **beside,
     }
+
+
+def feature_channels(model: SceneModel) -> int | None:
+    """Latent channels that are blended; None where there are no features.
+
+    Args:
+        model: The scene.
+    """
+    return model.gaussians(SHARED).features.shape[1] if model.has_features else None
+
+
+def offsets_kept(model: SceneModel) -> dict[str, float]:
+    """By spectrum with opacity offsets, the share of the Gaussians whose offset is not zero.
+
+    Args:
+        model: The scene.
+    """
+    kept = {}
+    for name in model.gaussian_sets:
+        gaussians = model.gaussians(name)
+        for spectrum in gaussians.second_opacities:
+            values, is_offset = gaussians.stored_opacity(spectrum)
+            if values is not None and is_offset:
+                kept[spectrum] = (values != 0).float().mean().item()
+    return kept

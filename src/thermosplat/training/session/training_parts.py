@@ -11,7 +11,7 @@ from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.budget.tolerances import Tolerances
-from thermosplat.training.fast_decoders import fast_decoders
+from thermosplat.training.fast_decoders import fast_decoding
 from thermosplat.training.finite_guard import FiniteGuard
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import TrainFrames
@@ -85,9 +85,7 @@ class Training:
         if device.type == "cuda":
             torch.cuda.set_device(device)  # streams, graphs and their memory are those of the current one
         step = TrainingStep(config, state, FiniteGuard(device), PairCapacity(device), team, tolerances)
-        fast = fast_decoders(state.model.decoders, config, device)
-        if fast is not None:
-            step.decoding = fast.active
+        step.decoding = fast_decoding(state.model.formations, config, device)
         recorded = device.type == "cuda" and config.graph and scenes.offloading.kind == "nothing"
         steps = Steps(step, frames, schedule, recorded=recorded, say=lambda line: logger.say(line))
         return cls(team, run, capture, frames, recipe, logger, schedule, scenes, state, steps)

@@ -69,14 +69,7 @@ def render_with_others(
         shown = {name: views[name] if is_own else _blank(calls.like.dtype, calls.like.device) for name in group}
         part = render(shown, shared_cameras=[group], distributed=True)
         if is_own:
-            for held, found in (
-                (rendered.images, part.images),
-                (rendered.features, part.features),
-                (rendered.alphas, part.alphas),
-                (rendered.log_depths, part.log_depths),
-            ):
-                held.update(found)
-            rendered.depth_spreads += part.depth_spreads
+            rendered.include(part)
         else:
             rendered.blank += [*part.images.values(), *part.features.values(), *part.depth_spreads]
         for name, infos in part.infos.items():

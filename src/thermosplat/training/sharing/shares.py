@@ -201,8 +201,7 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
                 load_optimizer(optimizer, saved[name][key])
         state.strategies[name].forget(len(gaussians))
         state.strategies[name].load_state_dict((checkpoint.training.strategies or {})[name])
-    if state.model.decoders is not None and model.decoders is not None:
-        state.model.decoders.load_state_dict(model.decoders.state_dict())
+    state.model.formations.load_state_dict(model.formations.state_dict())
     training = checkpoint.training
     state.load_budget(training)
     if training.noise_watch is not None and state.noise_watch is not None:

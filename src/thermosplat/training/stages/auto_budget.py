@@ -192,7 +192,7 @@ class AutoBudget:
         means = {name: sum(values) / len(values) for name, values in found.items()}
         if state.noise_watch is not None:
             teacher = partial(self._teacher, sh_degree)
-            loss, patience = self.tolerances.spectrum_loss, settings.spectrum_patience
+            loss, patience = self.tolerances.spectrum_loss, self.tolerances.spectrum_looks * settings.validate_every
             state.noise_watch.judge(step, means, loss, patience, teacher, noisy_only=not self._watches_falls)
         if not state.growing:
             self._release()
@@ -201,7 +201,7 @@ class AutoBudget:
         best, best_step = state.best_validation
         if value > best + self.tolerances.least_gain or not math.isfinite(best):
             state.best_validation = (value, step)
-        elif step - best_step >= settings.patience:
+        elif step - best_step >= self.tolerances.growth_looks * settings.validate_every:
             self._stop_growing()
 
     def _teacher(self, sh_degree: int) -> Teacher | None:
@@ -295,7 +295,7 @@ class AutoBudget:
             sh_degree: Degree of the spherical harmonics in use.
         """
         state = self.state
-        if state.model.decoders is None:
+        if not state.model.has_features:
             return
         change = self.images(sh_degree, self.config)
         if change.not_learnt:

@@ -59,8 +59,8 @@ class Beginnings:
         config, state = self._training.config, self._training.state
         start = of_passes(config) if state.camera_passes > 1 else config
         model = self._training.scenes.made(replace(start, seed=seed_of_scene(config.seed, len(kept))))
-        if kept and model.decoders is not None and state.model.decoders is not None:
-            model.decoders.load_state_dict(state.model.decoders.state_dict())
+        if kept:
+            model.formations.load_state_dict(state.model.formations.state_dict())
         state.start_anew(model, kept)
         count_anew(self._training.team, state)
 
@@ -135,8 +135,8 @@ class SceneStage(Stage):
         training, team, shares = self.training, self.training.team, list[dict[str, Gaussians]]()
 
         def join() -> None:
-            spectra = list(training.state.model.spectra.values())
-            shares.extend(divided_sets(joined_sets(scenes, training.config, spectra), team.size))
+            sets = joined_sets(scenes, training.config, training.state.model.formations)
+            shares.extend(divided_sets(sets, team.size))
 
         team.asked_of_first(join)
         share: dict[str, Gaussians] = team.dealt(shares if team.is_first else None)

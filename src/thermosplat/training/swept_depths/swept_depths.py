@@ -29,13 +29,16 @@ AGREED = 0.05
 wrong. Open choice: thermal images of lab and yard agree in 0.6 and 0.7 of their pixels, those of desk, arco and room in
 less than 0.005 (benchmarks/records/real-captures.md)."""
 
+LIMIT = 0.03
+"""Largest difference of log z from a swept depth that counts. Where it is larger the sweep found another surface, or is
+wrong. Open choice."""
+
 
 class SweptDepths:
     """Depths of the training views, by spectrum.
 
     Args:
         weights: Weight of each spectrum's loss.
-        limit: As ``swept_depth_loss`` takes it.
         found: By spectrum and height and width of the images [px], log z of views, [n, H, W], NaN where unknown.
         rows: By the same, the place of each training frame among these views, [F] int64; -1 of others.
     """
@@ -43,11 +46,10 @@ class SweptDepths:
     def __init__(
         self,
         weights: Mapping[str, float],
-        limit: float,
         found: Mapping[tuple[str, Size], Tensor],
         rows: Mapping[tuple[str, Size], Tensor],
     ) -> None:
-        self._weights, self._limit, self._found, self._rows = weights, limit, found, rows
+        self._weights, self._found, self._rows = weights, found, rows
 
     def __bool__(self) -> bool:
         """Whether any view was swept."""
@@ -98,7 +100,7 @@ class SweptDepths:
                 rows[key] = torch.full((len(frames),), -1, device=frames.device)
                 rows[key][some] = torch.arange(len(some), device=frames.device)
             say(f"They agree on depths in {share:.0%} of their pixels.")
-        return cls(weights, config.loss.swept_depth_limit, found, rows)
+        return cls(weights, found, rows)
 
     def losses(self, rendered: RenderedFrame, index: Tensor) -> dict[str, Tensor]:
         """Weighted loss terms of one training frame at full size.
@@ -114,7 +116,7 @@ class SweptDepths:
                 continue
             row = self._rows[key].index_select(0, index.reshape(1))
             target = torch.where(row[:, None] < 0, torch.nan, self._found[key].index_select(0, row.clamp(min=0))[0])
-            loss = swept_depth_loss(log_depth, rendered.alphas[name], target, self._limit)
+            loss = swept_depth_loss(log_depth, rendered.alphas[name], target, LIMIT)
             terms[f"{name}_swept_depth"] = self._weights[name] * loss
         return terms
 
