@@ -18,8 +18,8 @@ import warp as wp
 
 from scenes.benchmark_scenes import BenchmarkScene, garden_scene
 from scenes.trained_scene import trained_scene
-from thermosplat.rasterizer.binning import tile_lists
-from thermosplat.rasterizer.projection import Project, ProjectInputs
+from thermosplat.rasterizer.projected_scene import tile_lists
+from thermosplat.rasterizer.projection_autograd import Project, ProjectInputs
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.torch_bridge.arrays import view
 from thermosplat.torch_bridge.streams import on_torch_stream
@@ -51,10 +51,10 @@ def bench(scene: BenchmarkScene, width: int, height: int, args: argparse.Namespa
     with torch.no_grad():
         *_projected, arrays = Project.apply(
             scene.means, scene.quats, scene.scales, None, scene.viewmat[None], scene.intrinsics(width, height)[None],
-            None, None, ProjectInputs(*bounds, settings, (), (1,), nullcontext(), recorded=False),
+            None, None, ProjectInputs(*bounds, settings, (), (1,), nullcontext()),
         )  # fmt: skip
     flat = scene.features(max(channels for channels, _ in args.channels))
-    bins, memory = tile_lists(arrays, opacities, thermal, flat, settings, args.tile_size)
+    bins, memory = tile_lists(arrays, *bounds, flat, settings, args.tile_size)
     longest = int(torch.diff(memory["tile_offsets"]).max())
     rows = []
     for channels, thermal_channels in args.channels:

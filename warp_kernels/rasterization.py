@@ -1,8 +1,8 @@
 """The steps of the rasterizer chained, for users of Warp alone.
 
-Four steps: ``project``, ``sh_colors``, ``bin_tiles``, ``blend``, each in a module of its own. A step writes into arrays
-it is given; with a tape it records its adjoint, which *adds* to the ``.grad`` of its inputs that have one and reads the
-``.grad`` of its outputs. All arrays are flat, as described in projection.
+Four steps: ``project_gaussians``, ``sh_colors``, ``bin_tiles``, ``blend``, each in a module of its own. A step writes
+into arrays it is given; with a tape it records its adjoint, which *adds* to the ``.grad`` of its inputs that have one
+and reads the ``.grad`` of its outputs. All arrays are flat, as described in projection.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ import warp as wp
 from warp_kernels.binning.binning_step import bin_tiles
 from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.projection.plain_camera_step import project_gaussians
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
-from warp_kernels.projection.projection_step import project
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Rasterization:
 
 
 def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_grad: bool) -> ProjectedArrays:
-    """Arrays for ``project`` to write.
+    """Arrays for ``project_gaussians`` to write.
 
     Args:
         entries: images · N.
@@ -97,7 +97,7 @@ def rasterize(
         )
     device, dtype = gaussians.means.device, gaussians.opacities.dtype
     projected = allocate_projected(images * settings.num_gaussians, dtype, device, tape is not None)
-    project(gaussians, settings, projected, tape)
+    project_gaussians(gaussians, settings, projected, tape)
     shape = (images * settings.height, settings.width)
 
     def image(kind: type) -> wp.array:

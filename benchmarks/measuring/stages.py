@@ -11,8 +11,8 @@ from thermosplat.torch_bridge.streams import on_torch_stream
 from warp_kernels.binning.binning_step import bin_tiles
 from warp_kernels.blending.blending_step import BlendedArrays, blend
 from warp_kernels.color.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
+from warp_kernels.projection.plain_camera_step import project_gaussians, project_gaussians_adjoint
 from warp_kernels.projection.projection import GaussianArrays, ProjectionSettings
-from warp_kernels.projection.projection_step import project, project_adjoint
 from warp_kernels.rasterization import allocate_projected, scalar_view
 
 
@@ -76,9 +76,9 @@ def _stages(t: dict[str, Tensor], width: int, height: int, device: wp.Device) ->
     adjoints: dict[str, Callable[[], object]] = {}
 
     # Gradients of Gaussians are stored and not added, as torch's functions ask for them.
-    project(gaussians, settings, projected)
-    calls["projection"] = lambda: project(gaussians, settings, projected)
-    adjoints["projection adjoint"] = lambda: project_adjoint(
+    project_gaussians(gaussians, settings, projected)
+    calls["projection"] = lambda: project_gaussians(gaussians, settings, projected)
+    adjoints["projection adjoint"] = lambda: project_gaussians_adjoint(
         gaussians, settings, projected, store=True, add_to_means="sh" in t
     )
 

@@ -25,7 +25,7 @@ PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("blending adjoint", ("blend_adjoint", "distribute_", "finish_moments", "BlendBackward")),
     (
         "blending",
-        ("blend_", "deal_states", "segment_light", "join_segments", "contributors_", "median_depth_", "Blend"),
+        ("blend_", "deal_states", "segment_light", "join_segments", "median_depth_", "Blend"),
     ),
     (
         "binning",

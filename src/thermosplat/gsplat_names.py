@@ -5,8 +5,14 @@ _IN_PLACE: dict[str, str] = {
         "gsplat's own densifies on rasterization()'s info, as docs/migrating.md says; thermosplat-train has its own"
     ),
     "PngCompression export_splats": "thermosplat-export writes trained scenes, and gsplat's own takes any tensors",
-    "accumulate rasterize_to_indices_in_range": (
-        "thermosplat.rasterizer.steps.rasterize_contributing_gaussian_ids lists each pixel's Gaussians and weights"
+    "accumulate rasterize_contributing_gaussian_ids rasterize_contributing_gaussian_ids_sparse "
+    "rasterize_num_contributing_gaussians rasterize_num_contributing_gaussians_sparse rasterize_to_indices_in_range "
+    "rasterize_top_contributing_gaussian_ids rasterize_top_contributing_gaussian_ids_sparse": (
+        "rasterization()'s info lists each tile's Gaussians, as flatten_ids and isect_offsets, and the gradient of "
+        "image.sum() to colors sums each Gaussian's weights"
+    ),
+    "build_sparse_tile_layout isect_tiles_sparse rasterize_to_pixels_sparse": (
+        "rasterize_to_pixels() blends whole images, and its masks choose tiles"
     ),
     "proj world_to_cam": "both are parts of fully_fused_projection()",
     "fully_fused_projection_with_ut": "rasterization(with_ut=True) projects by the unscented transform",
@@ -15,10 +21,6 @@ _IN_PLACE: dict[str, str] = {
     "accumulate_2dgs fully_fused_projection_2dgs rasterization_2dgs rasterization_2dgs_inria_wrapper "
     "rasterize_to_indices_in_range_2dgs rasterize_to_pixels_2dgs": "there are no 2D Gaussians",
     "rasterization_inria_wrapper": "rasterization() takes cameras as viewmats and Ks",
-    "build_sparse_tile_layout isect_tiles_sparse rasterize_contributing_gaussian_ids "
-    "rasterize_contributing_gaussian_ids_sparse rasterize_num_contributing_gaussians "
-    "rasterize_num_contributing_gaussians_sparse rasterize_to_pixels_sparse rasterize_top_contributing_gaussian_ids "
-    "rasterize_top_contributing_gaussian_ids_sparse": "it is in thermosplat.rasterizer.steps",
     "ExternalDistortionModelMeta ExternalDistortionModelParameters": (
         "a lens distorts by radial_coeffs, tangential_coeffs, thin_prism_coeffs or ftheta_coeffs"
     ),

@@ -69,12 +69,12 @@ def test_lines_are_those_of_the_project() -> None:
         frame("/home/me/thermosplat/.venv/lib/python3.12/site-packages/torch/_tensor.py"),
         frame("/home/me/thermosplat/src/thermosplat/torch_bridge/streams.py", 80, "empty"),
         frame("/home/me/thermosplat/warp_kernels/binning/binning_step.py", 5, "bin_tiles"),
-        frame("/home/me/thermosplat/src/thermosplat/rasterizer/binning.py", 6, "tile_lists"),
+        frame("/home/me/thermosplat/src/thermosplat/rasterizer/projected_scene.py", 6, "tile_lists"),
         frame("/home/me/thermosplat/benchmarks/bench_distributed.py", 9, "measured"),
     ]
     assert lines_of(stack)[:2] == (
         "warp_kernels/binning/binning_step.py:5 bin_tiles",
-        "rasterizer/binning.py:6 tile_lists",
+        "rasterizer/projected_scene.py:6 tile_lists",
     )
     assert lines_of(stack[:1]) == ("_tensor.py:1 f",)
     assert lines_of([]) == ()

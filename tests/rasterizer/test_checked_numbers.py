@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from thermosplat import UserError
-from thermosplat.rasterizer.checked_numbers import as_whole, remembered
+from thermosplat.rasterizer.arguments import remembered
+from thermosplat.rasterizer.checked_numbers import as_whole
 
 
 def test_whole_numbers_of_any_kind() -> None:

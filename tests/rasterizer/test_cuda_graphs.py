@@ -9,7 +9,7 @@ from torch import Tensor
 
 from gaussian_scenes import leaves, random_rgbt_scene, random_scene, relative_error, upstream_gradients
 from thermosplat import PairCapacity, UserError, rasterization, rasterization_rgbt
-from thermosplat.rasterizer import binning as tile_lists
+from thermosplat.rasterizer import projected_scene
 
 SIZE = {"width": 120, "height": 90}
 
@@ -167,7 +167,7 @@ def test_a_capture_without_room_is_refused(gpu: torch.device) -> None:
 
 def test_a_capture_without_room_is_refused_before_anything_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same where there is no GPU, for the sentence's sake."""
-    monkeypatch.setattr(tile_lists, "joined_capture", lambda device: nullcontext(True))
+    monkeypatch.setattr(projected_scene, "joined_capture", lambda device: nullcontext(True))
     inputs = leaves(random_scene(n=20), torch.device("cpu"), torch.float32)
     with pytest.raises(UserError, match="reads its number of"):
         rasterization(**inputs)

@@ -14,6 +14,24 @@ from thermosplat import rasterization, rasterization_rgbt
 from thermosplat.rasterizer.info import RasterizationInfo, clear_unseen, isect_ids, radii_of
 
 
+class Given:
+    """Entries, each with what makes it."""
+
+    are_of_ranks = False
+
+    def __init__(self, makers: dict[str, Callable[[], Any]]) -> None:
+        self.keys, self._makers = list(makers), makers
+
+    def made(self, key: str) -> Any:
+        """The value of one of the keys."""
+        return self._makers[key]()
+
+
+def info_of(makers: dict[str, Callable[[], Any]]) -> RasterizationInfo:
+    """The dictionary of such entries."""
+    return RasterizationInfo(Given(makers))
+
+
 @pytest.mark.parametrize(
     "read",
     [
@@ -35,7 +53,7 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
         calls.append(1)
         return torch.tensor([5, 7])
 
-    info = RasterizationInfo({"width": 23}, {"isect_ids": compute})
+    info = info_of({"width": lambda: 23, "isect_ids": compute})
     assert (info["width"], info.get("width"), info.get("height", 18)) == (23, 23, 18)
     assert set(info) == {"width", "isect_ids"}
     assert not calls
@@ -46,7 +64,7 @@ def test_isect_ids_are_computed_once_and_only_when_read(read: Callable[[Rasteriz
 
 def test_missing_keys() -> None:
     """As in any dict."""
-    info = RasterizationInfo({}, {"isect_ids": lambda: torch.empty(0)})
+    info = info_of({"isect_ids": lambda: torch.empty(0)})
     assert info.setdefault("means3d", 3) == info.pop("means3d") == 3
     assert info.pop("means3d", None) is None
     with pytest.raises(KeyError, match="means3d"):
@@ -56,7 +74,7 @@ def test_missing_keys() -> None:
 
 def test_what_is_taken_out_is_computed() -> None:
     """pop gives the value, not the place that was kept for it."""
-    info = RasterizationInfo({}, {"isect_ids": lambda: torch.tensor([5, 7])})
+    info = info_of({"isect_ids": lambda: torch.tensor([5, 7])})
     assert info.pop("isect_ids").tolist() == [5, 7]
     assert "isect_ids" not in info
 
@@ -71,7 +89,7 @@ def test_a_computation_that_failed_is_tried_again() -> None:
             raise RuntimeError("out of memory")
         return 5
 
-    info = RasterizationInfo({}, {"isect_ids": compute})
+    info = info_of({"isect_ids": compute})
     for read in (lambda: info["isect_ids"], lambda: dict(info)):
         with pytest.raises(RuntimeError, match="out of memory"):
             read()
@@ -90,14 +108,14 @@ def test_a_computation_that_failed_is_tried_again() -> None:
 )
 def test_what_is_put_in_place_of_a_computation_stays(put: Callable[[RasterizationInfo], Any]) -> None:
     """What a user stores is what is read, and nothing is computed for it."""
-    info = RasterizationInfo({"width": 23}, {"conics": lambda: pytest.fail("computed")})
+    info = info_of({"width": lambda: 23, "conics": lambda: pytest.fail("computed")})
     put(info)
     assert info["conics"] == info.get("conics") == dict(info)["conics"] == 7
 
 
 def test_what_is_removed_is_not_computed_again() -> None:
     """A key that was deleted is missing, however it was to get its value."""
-    info = RasterizationInfo({"width": 23}, {"conics": lambda: 7, "isect_ids": lambda: 5})
+    info = info_of({"width": lambda: 23, "conics": lambda: 7, "isect_ids": lambda: 5})
     del info["conics"]
     with pytest.raises(KeyError, match="conics"):
         info["conics"]
@@ -123,7 +141,7 @@ def test_what_is_removed_is_not_computed_again() -> None:
 )
 def test_copies_hold_what_is_computed(copied: Callable[[RasterizationInfo], dict[str, Any]]) -> None:
     """And not the place that was kept for it."""
-    assert copied(RasterizationInfo({}, {"conics": lambda: 7})) == {"conics": 7}
+    assert copied(info_of({"conics": lambda: 7})) == {"conics": 7}
 
 
 def test_isect_ids_pack_image_tile_and_depth() -> None:

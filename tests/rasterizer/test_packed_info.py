@@ -8,7 +8,8 @@ import torch
 
 from gaussian_scenes import leaves, random_scene, relative_error
 from thermosplat import rasterization, rasterize_to_pixels
-from thermosplat.rasterizer.packed_info import pack
+from thermosplat.rasterizer.info import SceneEntries
+from thermosplat.rasterizer.packed_info import PackedEntries
 
 ROWS = ("radii", "means2d", "depths", "conics", "opacities", "tiles_per_gauss")
 
@@ -89,10 +90,16 @@ def test_rows_do_not_hold_the_graph(device: torch.device) -> None:
     assert leaf() is None
 
 
+class OfRanks(SceneEntries):
+    """Entries as a distributed call has them."""
+
+    are_of_ranks = True
+
+
 def test_lists_of_ranks_count_what_was_received(device: torch.device) -> None:
     """As in gsplat, pairs of a distributed call are not of the rows that this rank projected."""
     (_, _, whole), (_, _, packed) = (both(device)[1] for _ in range(2))
-    pack(packed, distributed=True)
+    packed.entries = PackedEntries(OfRanks(*packed.entries))
     for key in ("flatten_ids", "tiles_per_gauss"):
         assert torch.equal(packed[key], whole[key])
     assert torch.equal(packed["radii"], whole["radii"][whole["visible"]])

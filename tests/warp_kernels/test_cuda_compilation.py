@@ -14,7 +14,6 @@ from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending.blend_variant import blend_variant
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
-from warp_kernels.blending.contributors import contributors_kernel
 from warp_kernels.blending.gradient_records import distribute_kernel, finish_moments_kernel
 from warp_kernels.blending.list_segments import deal_states_kernel, join_segments_kernel
 from warp_kernels.blending.median_depth import median_depth_kernel
@@ -70,7 +69,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     kernels.append(finish_moments_kernel(dtype))
     kernels += activation_kernels(dtype)
     kernels += [strand_sum_kernel(dtype, 3), strand_sum_kernel(wp.float64, CAMERA_RECORD)]
-    kernels += [contributors_kernel(dtype), median_depth_kernel(dtype)]
+    kernels.append(median_depth_kernel(dtype))
     for hits, normals in ((False, False), (True, True)):
         along = RayVariant(3, hits, normals, dtype)
         kernels += [ray_blend_kernel(along), ray_blend_adjoint_kernel(along)]

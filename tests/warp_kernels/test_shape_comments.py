@@ -1,4 +1,4 @@
-"""Every array that a kernel or a Warp function takes says its shape in a comment on its line."""
+"""Every array that a kernel, a Warp function or a struct has says its shape in a comment on its line."""
 
 import ast
 import re
@@ -13,14 +13,14 @@ SHAPE = re.compile(r"#.*\[[^\]]+\]")
 ARRAYS = re.compile(r"\bwp\.array|_type\b|\brows_[ab]\b")
 """Annotations of arrays: Warp's own, and names of types that are made from them."""
 
-DECORATORS = ("wp.kernel", "wp.func")
+DECORATORS = ("wp.kernel", "wp.func", "wp.struct")
 
 
-def kernel_functions(source: str) -> list[ast.FunctionDef]:
-    """Functions that Warp compiles; those in C, whose arrays are pointers to one element, are left out."""
+def what_warp_compiles(source: str) -> list[ast.FunctionDef | ast.ClassDef]:
+    """Functions and structs; functions in C, whose arrays are pointers to one element, are left out."""
     found = []
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.FunctionDef):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names = [ast.unparse(one.func if isinstance(one, ast.Call) else one) for one in node.decorator_list]
             if any(name in DECORATORS for name in names):
                 found.append(node)
@@ -28,14 +28,18 @@ def kernel_functions(source: str) -> list[ast.FunctionDef]:
 
 
 def without_shape(source: str) -> list[str]:
-    """Names of the functions and their arrays that lack the comment."""
+    """Names of the functions or structs and their arrays that lack the comment."""
     lines = source.splitlines()
     missing = []
-    for function in kernel_functions(source):
-        for argument in function.args.args:
-            annotation = ast.unparse(argument.annotation) if argument.annotation is not None else ""
-            if ARRAYS.search(annotation) and not SHAPE.search(lines[argument.end_lineno - 1]):
-                missing.append(f"{function.name}: {argument.arg}")
+    for one in what_warp_compiles(source):
+        has = (
+            one.args.args if isinstance(one, ast.FunctionDef) else [a for a in one.body if isinstance(a, ast.AnnAssign)]
+        )
+        for array in has:
+            annotation = ast.unparse(array.annotation) if array.annotation is not None else ""
+            if ARRAYS.search(annotation) and not SHAPE.search(lines[array.end_lineno - 1]):
+                name = array.arg if isinstance(array, ast.arg) else ast.unparse(array.target)
+                missing.append(f"{one.name}: {name}")
     return missing
 
 
@@ -59,7 +63,12 @@ def lacks_one(
     second: wp.array2d(dtype=float),  # of each pixel
 ): ...
 
+@wp.struct
+class Images:
+    colors: wp.array2d(dtype=wp.vec3)  # [height, width]
+    alphas: wp.array2d(dtype=float)
+
 def no_kernel(values: wp.array): ...
 '''
-    assert [function.name for function in kernel_functions(source)] == ["with_shape", "lacks_one"]
-    assert without_shape(source) == ["lacks_one: second"]
+    assert [one.name for one in what_warp_compiles(source)] == ["with_shape", "lacks_one", "Images"]
+    assert without_shape(source) == ["lacks_one: second", "Images: alphas"]

@@ -55,7 +55,7 @@ def bin_tiles(
     ``bins.pair_ends`` where that is None, says how many were needed.
 
     Args:
-        projected: from ``project``. Gaussians with non-finite features become invisible.
+        projected: from ``project_gaussians``. Gaussians with non-finite features become invisible.
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same array where there is one opacity.
         features: scalar array [images · N, D], only checked for being finite.

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.constants import ALPHA_MAX, ALPHA_MIN
 from warp_kernels.machinery.lanes import lane_functions
 from warp_kernels.machinery.loading import made_once
@@ -19,8 +18,7 @@ class AlphaFunctions(NamedTuple):
     """Warp functions of the response of a Gaussian at a pixel; they say themselves what they do.
 
     Attributes:
-        middle_of: the pixel that positions are seen from.
-        from_middle: a mean as seen from there.
+        from_middle: a mean as seen from the middle of a block.
         in_units: the conic's root for offsets in units of ``UNIT``.
         whiten: z = U d.
         visibility: exp(-σ).
@@ -28,7 +26,6 @@ class AlphaFunctions(NamedTuple):
         row_range: rows that a Gaussian reaches.
     """
 
-    middle_of: Any
     from_middle: Any
     in_units: Any
     whiten: Any
@@ -38,30 +35,20 @@ class AlphaFunctions(NamedTuple):
 
 
 @made_once
-def alpha_functions(dtype: type, layout: BlendLayout) -> AlphaFunctions:
+def alpha_functions(dtype: type) -> AlphaFunctions:
     """The response of a Gaussian at a pixel; the forward pass and the adjoint share it.
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``.
-        layout: deal of pixels to lanes.
 
     Returns:
         The functions.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     _, unpack, _ = packed_root_functions(dtype)
-    block_width, block_height = layout.block_width, layout.block_height
     zero = dtype(0.0)
     alpha_min, alpha_max, per_unit = dtype(ALPHA_MIN), dtype(ALPHA_MAX), dtype(1.0 / UNIT)
     exp2_negative, _, _ = lane_functions(dtype)
-
-    @wp.func
-    def middle_of(block_x: int, block_y: int, width: int, height: int):
-        """A pixel in the middle of a block, on the CPU, where that is a tile, of the block's part in the image."""
-        columns, rows = int(block_width), int(block_height)
-        if wp.static(layout.lanes == 1):
-            columns, rows = wp.min(columns, width - block_x), wp.min(rows, height - block_y)
-        return block_x + columns // 2, block_y + rows // 2
 
     @wp.func
     def from_middle(mean: vec2, packed_root: vec4, middle: vec2):
@@ -97,4 +84,4 @@ def alpha_functions(dtype: type, layout: BlendLayout) -> AlphaFunctions:
         end = int(wp.floor(wp.clamp(mean[1] + spare - y0, dtype(-1.0), dtype(rows - 1)))) + 1
         return first, end
 
-    return AlphaFunctions(middle_of, from_middle, in_units, whiten, visibility, alpha, row_range)
+    return AlphaFunctions(from_middle, in_units, whiten, visibility, alpha, row_range)

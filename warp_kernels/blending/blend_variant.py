@@ -12,14 +12,9 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from warp_kernels.blending.alpha import AlphaFunctions, alpha_functions
+from warp_kernels.blending.blend_arguments import BlockFunctions, block_functions, pixel_ends_type, splats_type
 from warp_kernels.blending.blend_layout import BlendLayout
-from warp_kernels.blending.survivors import (
-    QueueFunctions,
-    RecordFunctions,
-    queue_functions,
-    record_functions,
-    stages_features,
-)
+from warp_kernels.blending.survivors import WalkFunctions, stages_features, walk_functions
 from warp_kernels.machinery.loading import made_once
 
 
@@ -39,6 +34,8 @@ class BlendTypes(NamedTuple):
         vecPi: a whole number for each pixel of a lane.
         matCP: all channels for each pixel of a lane.
         matDP: channels of the second opacity for each pixel of a lane.
+        Splats: projected Gaussians; see blend_arguments.
+        PixelEnds: where pixels' walks ended; likewise.
     """
 
     vec2: Any
@@ -53,6 +50,8 @@ class BlendTypes(NamedTuple):
     vecPi: Any
     matCP: Any
     matDP: Any
+    Splats: Any
+    PixelEnds: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,28 +134,28 @@ class BlendVariant:
             vecPi=vector(pixels, wp.int32),
             matCP=matrix((C, pixels), dtype),
             matDP=matrix((D, pixels), dtype),
+            Splats=splats_type(A, max(C - A, 1), dtype),
+            PixelEnds=pixel_ends_type(dtype),
         )
 
     @cached_property
     def response(self) -> AlphaFunctions:
         """What a Gaussian does to a pixel."""
-        return alpha_functions(self.dtype, self.layout)
+        return alpha_functions(self.dtype)
 
-    def records(self, *, staged: bool) -> RecordFunctions:
-        """Functions of the records that a warp keeps of the Gaussians that it walks.
+    @cached_property
+    def blocks(self) -> BlockFunctions:
+        """Which pixels a warp has."""
+        return block_functions(self.dtype, self.layout)
 
-        Args:
-            staged: records hold features.
-        """
-        return record_functions(self.channels, self.first_channels, staged, self.dual, self.dtype, self.layout)
-
-    def queue(self, *, backwards: bool) -> QueueFunctions:
-        """Functions of the queue of Gaussians that a warp walks.
+    def walk(self, *, staged: bool, backwards: bool = False) -> WalkFunctions:
+        """Functions of a warp's walk along a list.
 
         Args:
-            backwards: from the back of a list to its front.
+            staged: records of Gaussians hold features.
+            backwards: from the back of the list to its front.
         """
-        return queue_functions(self.layout, backwards)
+        return walk_functions(self.channels, self.first_channels, staged, self.dual, self.dtype, self.layout, backwards)
 
     def name(self, kernel: str, *, of_arrays: bool = True) -> str:
         """Name of one of the kernels.

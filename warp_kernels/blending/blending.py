@@ -13,16 +13,35 @@ Long lists are cut into segments that are blended side by side; see list_segment
 
 import warp as wp
 
+from warp_kernels.blending.blend_arguments import SortedPairs, TileGrid
 from warp_kernels.blending.blend_variant import BlendVariant
-from warp_kernels.blending.list_segments import list_of_block
+from warp_kernels.blending.list_segments import Part, part_of_block
 from warp_kernels.blending.pixel_ends import end_functions
-from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import TRANSMITTANCE_MIN
 from warp_kernels.machinery.lanes import lane_functions, warp_any
 from warp_kernels.machinery.loading import made_once
 
-BATCH = 32
-"""Gaussians walked between two checks for unfinished pixels."""
+
+@made_once
+def layer_function(dtype: type):
+    """What a layer does to a pixel's light.
+
+    Args:
+        dtype: ``wp.float32`` or ``wp.float64``.
+
+    Returns:
+        A Warp function (light in front, alpha, the light at which the pixel stops): the layer's weight, and the light
+        behind it. Where the pixel has stopped before the layer, the weight is 0 and the light in front gets a sign.
+    """
+    zero, attenuate = dtype(0.0), lane_functions(dtype)[1]
+
+    @wp.func
+    def behind_layer(t: dtype, a: dtype, stop_at: dtype):
+        behind = attenuate(t, a)
+        stop = behind <= stop_at
+        return wp.where(stop, zero, a * t), wp.where(stop, -wp.abs(t), behind)
+
+    return behind_layer
 
 
 @made_once
@@ -35,20 +54,55 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
     Returns:
         The Warp kernel.
     """
-    dtype, layout, dual, cuda = variant.dtype, variant.layout, variant.dual, variant.cuda
-    C, D = variant.channels, max(variant.thermal_channels, 1)
+    dtype, layout, kinds, dual = variant.dtype, variant.layout, variant.types, variant.dual
+    C, D, first_thermal = variant.channels, max(variant.thermal_channels, 1), variant.first_thermal
+    first_behind, first_behind_t = variant.first_behind, variant.first_behind_thermal
     lanes, rows, columns, threads, pixels = layout.lanes, layout.rows, layout.columns, layout.threads, variant.pixels
     row_mask = rows - 1  # rows is a power of two: keeps the index provably non-negative, which vectorising needs
-    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
-    blocks_x = layout.blocks_x
-    first_thermal, batch, header = variant.first_thermal, BATCH, HEADER
-    first_behind, first_behind_t = variant.first_behind, variant.first_behind_thermal
-    zero, half, one, minus_one = dtype(0.0), dtype(0.5), dtype(1.0), dtype(-1.0)
-    transmittance_min = dtype(TRANSMITTANCE_MIN)
-    staged = variant.stages_features
-    kinds, response, attenuate = variant.types, variant.response, lane_functions(dtype)[1]
-    survivors, waiting = variant.records(staged=staged), variant.queue(backwards=False)
-    pack_end, _ = end_functions(dtype)
+    zero, one, minus_one, transmittance_min = dtype(0.0), dtype(1.0), dtype(-1.0), dtype(TRANSMITTANCE_MIN)
+    blocks, response, walking = variant.blocks, variant.response, variant.walk(staged=variant.stages_features)
+    behind_layer, pack_end = layer_function(dtype), end_functions(dtype)[0]
+    Splats, PixelEnds, vec2 = kinds.Splats, kinds.PixelEnds, kinds.vec2
+
+    @wp.func
+    def stop_of(light: dtype, factor: dtype):
+        """The light at which a pixel stops in a segment; negative where a later one goes on, whatever rounds here."""
+        return wp.where(light * factor > transmittance_min, minus_one, transmittance_min)
+
+    @wp.func
+    def light_of_cut(
+        part: Part,
+        segment: int,
+        states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
+        place: int,
+    ):
+        """The light of a pixel in front of a segment, for each opacity, and that at which it stops there."""
+        light = vec2(one, one)
+        stop_at = vec2(transmittance_min, transmittance_min)
+        for boundary in range(part.begin // segment + 1, part.first // segment + 1):
+            light[0] = light[0] * states[boundary + part.to_row, 0, place]
+            if wp.static(dual):
+                light[1] = light[1] * states[boundary + part.to_row, 1, place]
+        if not part.is_last:
+            stop_at[0] = stop_of(light[0], states[part.end // segment + part.to_row, 0, place])
+            if wp.static(dual):
+                stop_at[1] = stop_of(light[1], states[part.end // segment + part.to_row, 1, place])
+        for k in range(2):
+            if light[k] <= transmittance_min:
+                light[k] = minus_one
+        return light, stop_at
+
+    @wp.func
+    def write_end(pixels: PixelEnds, line: int, x: int, t: dtype, stop_at: dtype, last: int, part: Part, bits: int):
+        """Where a pixel's walk ended. Of a cut list one segment alone says it: the one that the pixel may stop in."""
+        if t != minus_one and stop_at > zero:
+            light = wp.abs(t)
+            alpha = one - light
+            last_pair = wp.where(last < 0 and not part.is_first, part.first - 1, last)
+            pixels.transmittance[line, x] = light
+            pixels.ends[line, x] = pack_end(last_pair, light, alpha, bits)
+            if pixels.alphas.shape[0] > 0:
+                pixels.alphas[line, x] = alpha
 
     @wp.kernel(
         name=variant.name("blend"),
@@ -60,114 +114,59 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
     )
     def blend_tiles_kernel(
         first_block: int,
-        tiles_x: int,
-        tiles_y: int,
-        width: int,
-        height: int,
-        means2d: wp.array(dtype=kinds.vec2),  # [images · N]
-        packed_roots: wp.array(dtype=kinds.vec4),  # [images · N]
-        extents: wp.array(dtype=kinds.vec2),  # [images · N]; read on the CPU alone
-        opacities: wp.array(dtype=dtype),  # [images · N]
-        thermal_opacities: wp.array(dtype=dtype),  # [images · N]; read where there are two opacities
-        features: wp.array(dtype=kinds.vecA),  # [images · N]
-        rest: wp.array(dtype=kinds.vecB),  # [images · N]; [0]: there are no other channels
-        gaussian_ids: wp.array(dtype=wp.int32),  # [pairs]
-        masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
-        tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
-        segment: int,
-        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
+        grid: TileGrid,
+        splats: Splats,
+        pairs: SortedPairs,
         bits: int,
         # outputs
         render: wp.array2d(dtype=kinds.vecC),  # [images · height, width]
-        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
-        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
+        pixel_ends: PixelEnds,
         thermal_render: wp.array2d(dtype=kinds.vecD),  # [images · height, width]; [0, 0]: one opacity
-        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]
-        thermal_ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
-        thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: not wanted
+        thermal_ends: PixelEnds,
         states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
     ):
         block, thread = wp.tid()
-        block = block + first_block
-        tile, first_pair, end, cut, to_row = list_of_block(block, tile_offsets, segment, cuts)
-        if first_pair > end:
+        part = part_of_block(block + first_block, pairs)
+        if part.first > part.end:
             return
-        i = int(first_pair)
-        is_first = first_pair == tile_offsets[tile]
-        is_last = end == tile_offsets[tile + 1]
         warp = thread // lanes
         lane = thread % lanes
-        image = tile // (tiles_x * tiles_y)
-        in_image = tile % (tiles_x * tiles_y)
-        block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
-        block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
-
+        line_0 = part.tile // (grid.tiles_x * grid.tiles_y) * grid.height
+        block_x, block_y = blocks.corner_of(part.tile, warp, grid)
         # Pixels and means are seen from the middle of the block.
-        middle_x, middle_y = response.middle_of(block_x, block_y, width, height)
-        middle = kinds.vec2(dtype(middle_x), dtype(middle_y))
-        x0 = half - dtype(middle_x - block_x)
-        y0 = half - dtype(middle_y - block_y)
-        PX = kinds.vecQ()
-        PY = kinds.vecQ()
-        for q in range(columns):
-            PX[q] = x0 + dtype((lane + q * lanes) % block_width)
-            PY[q] = y0 + dtype((lane + q * lanes) // block_width)
+        middle_x, middle_y = blocks.middle_of(block_x, block_y, grid)
+        middle = vec2(dtype(middle_x), dtype(middle_y))
+        PX, PY = blocks.centres(lane, middle_x - block_x, middle_y - block_y)
+
+        # Of each pixel the light that is left, the light at which it stops, the last pair drawn, and the sums.
         T = kinds.vecP()
         Tt = kinds.vecP()
-        last = kinds.vecPi()
-        last_t = kinds.vecPi()
-        # Transmittance at which a pixel stops; negative where a later segment goes on with it, whatever rounds here.
         stop_at = kinds.vecP()
         stop_at_t = kinds.vecP()
+        last = kinds.vecPi()
+        last_t = kinds.vecPi()
         acc = kinds.matCP()
         acc_t = kinds.matDP()
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
-                inside = int(middle[0] + PX[q]) < width and int(middle[1] + PY[q]) + r < height
+                inside = int(middle[0] + PX[q]) < grid.width and int(middle[1] + PY[q]) + r < grid.height
                 T[p] = wp.where(inside, one, minus_one)
                 Tt[p] = wp.where(inside, one, minus_one)
                 last[p] = -1
                 last_t[p] = -1
                 stop_at[p] = transmittance_min
                 stop_at_t[p] = transmittance_min
-                if cut and inside:
-                    place = p * threads + thread
-                    for boundary in range(tile_offsets[tile] // segment + 1, first_pair // segment + 1):
-                        T[p] = T[p] * states[boundary + to_row, 0, place]
-                        if wp.static(dual):
-                            Tt[p] = Tt[p] * states[boundary + to_row, 1, place]
-                    if not is_last:
-                        if T[p] * states[end // segment + to_row, 0, place] > transmittance_min:
-                            stop_at[p] = minus_one
-                        if wp.static(dual):
-                            if Tt[p] * states[end // segment + to_row, 1, place] > transmittance_min:
-                                stop_at_t[p] = minus_one
-                    if T[p] <= transmittance_min:
-                        T[p] = minus_one
+                if part.is_cut and inside:
+                    light, stop = light_of_cut(part, pairs.segment, states, p * threads + thread)
+                    T[p] = light[0]
+                    stop_at[p] = stop[0]
                     if wp.static(dual):
-                        if Tt[p] <= transmittance_min:
-                            Tt[p] = minus_one
+                        Tt[p] = light[1]
+                        stop_at_t[p] = stop[1]
 
-        # The next up to 32 to be walked; on CUDA each lane has one
-        count = wp.min(batch, end - i)
-        place = int(0)
-        g = int(0)
-        taken = int(0)
-        put = int(0)
-        mask = int(0)
-        parts = int(0)
-        queue = wp.uint64(0)
-        address = wp.uint64(0)
-        if wp.static(cuda):
-            queue = waiting.queue_of_warp(warp)
-            address = survivors.records_of_warp(warp)
-            parts = waiting.block_parts(warp)
-            mask = waiting.mask_of(i + lane, end, masks)
-            put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, end, masks)
-            count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
-        while count > 0:
+        walk = walking.begin(warp, lane, part.first, part.end, pairs)
+        while walk.count > 0:
             alive = int(0)
             for p in range(pixels):
                 alive = alive | wp.where(T[p] > zero, 1, 0)
@@ -175,48 +174,13 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                     alive = alive | wp.where(Tt[p] > zero, 1, 0)
             if warp_any(alive) == 0:
                 break
-
-            walked = count
-            if wp.static(cuda):
-                survivors.store(
-                    address, lane, count, place, g, middle,
-                    means2d, packed_roots, opacities, thermal_opacities, features, rest,
-                )  # fmt: skip
-                taken += count
-                put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, end, masks)
-                count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
-
-            for k in range(walked):
-                pair = i + k
-                gaussian = int(0)
-                m = kinds.vec2()
-                U = kinds.vec3()
-                o = zero
-                ot = zero
-                f = kinds.vecC()
-                row_first = int(0)
-                row_end = int(1)
-                if wp.static(cuda):
-                    entry = survivors.get(address, k)
-                    m = kinds.vec2(entry[0], entry[1])
-                    U = kinds.vec3(entry[2], entry[3], entry[4])
-                    o = entry[5]
-                    ot = entry[6]
-                    pair = survivors.integer(entry[7])
-                    if wp.static(staged):
-                        for c in range(C):
-                            f[c] = entry[header + c]
-                    else:
-                        f = survivors.features_of(survivors.integer(entry[8]), features, rest)
-                else:
-                    gaussian = gaussian_ids[pair]
-                    root = packed_roots[gaussian]
-                    m = response.from_middle(means2d[gaussian], root, middle)
-                    U = response.in_units(root)
-                    o = opacities[gaussian]
-                    ot = thermal_opacities[gaussian]
-                    f = survivors.features_of(gaussian, features, rest)
-                    row_first, row_end = response.row_range(m, extents[gaussian], y0, rows)
+            count = int(walk.count)
+            candidate = int(walk.candidate)
+            walk = walking.go_on(walk, lane, middle, splats, pairs)
+            for k in range(count):
+                pair, _gaussian, m, U, o, ot, f, row_first, row_end = walking.gaussian(
+                    walk, candidate + k, k, middle, PY[0], splats, pairs
+                )
                 for row in range(row_first, row_end):
                     offset = (row & row_mask) * columns
                     weight = kinds.vecQ()
@@ -224,21 +188,13 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                     for q in range(columns):
                         zx, zy = response.whiten(U, m[0] - PX[q], m[1] - (PY[q] + dtype(row)))
                         seen = response.visibility(zx, zy)
-                        a = response.alpha(o, seen)
-                        t = T[offset + q]
-                        next_t = attenuate(t, a)
-                        stop = next_t <= stop_at[offset + q]
-                        w = wp.where(stop, zero, a * t)
-                        T[offset + q] = wp.where(stop, -wp.abs(t), next_t)
+                        w, t = behind_layer(T[offset + q], response.alpha(o, seen), stop_at[offset + q])
+                        T[offset + q] = t
                         last[offset + q] = wp.where(w > zero, pair, last[offset + q])
                         weight[q] = w
                         if wp.static(dual):
-                            a = response.alpha(ot, seen)
-                            t = Tt[offset + q]
-                            next_t = attenuate(t, a)
-                            stop = next_t <= stop_at_t[offset + q]
-                            w = wp.where(stop, zero, a * t)
-                            Tt[offset + q] = wp.where(stop, -wp.abs(t), next_t)
+                            w, t = behind_layer(Tt[offset + q], response.alpha(ot, seen), stop_at_t[offset + q])
+                            Tt[offset + q] = t
                             last_t[offset + q] = wp.where(w > zero, pair, last_t[offset + q])
                             weight_t[q] = w
                     for c in range(C):
@@ -248,49 +204,36 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
                         for c in range(D):
                             for q in range(columns):
                                 acc_t[c, offset + q] += weight_t[q] * f[first_thermal + c]
-            if wp.static(not cuda):
-                i += walked
-                count = wp.min(batch, end - i)
 
         for r in range(rows):
             for q in range(columns):
                 p = r * columns + q
                 x = int(middle[0] + PX[q])
                 y = int(middle[1] + PY[q]) + r
-                place = p * threads + thread
-                if x < width and y < height:
-                    line = image * height + y
-                    if is_first:
+                if x < grid.width and y < grid.height:
+                    line = line_0 + y
+                    if part.is_first:
                         v = kinds.vecC()
                         for c in range(C):
                             v[c] = acc[c, p]
                         render[line, x] = v
                     else:
                         for c in range(C):
-                            states[first_pair // segment + to_row, first_behind + c, place] = acc[c, p]
-                    # Of a cut list one segment alone: the one that the pixel enters and may stop in.
-                    if T[p] != minus_one and stop_at[p] > zero:
-                        alpha = one - wp.abs(T[p])
-                        last_pair = wp.where(last[p] < 0 and not is_first, first_pair - 1, last[p])
-                        transmittance[line, x] = wp.abs(T[p])
-                        ends[line, x] = pack_end(last_pair, wp.abs(T[p]), alpha, bits)
-                        if alphas.shape[0] > 0:
-                            alphas[line, x] = alpha
+                            states[
+                                part.first // pairs.segment + part.to_row, first_behind + c, p * threads + thread
+                            ] = acc[c, p]
+                    write_end(pixel_ends, line, x, T[p], stop_at[p], last[p], part, bits)
                     if wp.static(dual):
-                        if is_first:
+                        if part.is_first:
                             vt = kinds.vecD()
                             for c in range(D):
                                 vt[c] = acc_t[c, p]
                             thermal_render[line, x] = vt
                         else:
                             for c in range(D):
-                                states[first_pair // segment + to_row, first_behind_t + c, place] = acc_t[c, p]
-                        if Tt[p] != minus_one and stop_at_t[p] > zero:
-                            alpha = one - wp.abs(Tt[p])
-                            last_pair = wp.where(last_t[p] < 0 and not is_first, first_pair - 1, last_t[p])
-                            thermal_transmittance[line, x] = wp.abs(Tt[p])
-                            thermal_ends[line, x] = pack_end(last_pair, wp.abs(Tt[p]), alpha, bits)
-                            if thermal_alphas.shape[0] > 0:
-                                thermal_alphas[line, x] = alpha
+                                states[
+                                    part.first // pairs.segment + part.to_row, first_behind_t + c, p * threads + thread
+                                ] = acc_t[c, p]
+                        write_end(thermal_ends, line, x, Tt[p], stop_at_t[p], last_t[p], part, bits)
 
     return blend_tiles_kernel

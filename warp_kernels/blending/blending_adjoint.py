@@ -11,12 +11,11 @@ summed as moments of z, the offset in the Gaussian's standard deviations, in whi
 
 import warp as wp
 
+from warp_kernels.blending.blend_arguments import SortedPairs, TileGrid
 from warp_kernels.blending.blend_variant import BlendVariant
-from warp_kernels.blending.blending import BATCH
 from warp_kernels.blending.gradient_records import feature_offset, kept_channels, ranges_apart, record_length
-from warp_kernels.blending.list_segments import list_of_block
+from warp_kernels.blending.list_segments import part_of_block
 from warp_kernels.blending.pixel_ends import end_functions
-from warp_kernels.blending.survivors import HEADER
 from warp_kernels.constants import ALPHA_MAX
 from warp_kernels.machinery.lane_sums import accumulate_snippet, column_sums_snippet
 from warp_kernels.machinery.lanes import lane_functions, warp_any, warp_max
@@ -42,14 +41,16 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     C, D, A = variant.channels, max(variant.thermal_channels, 1), variant.first_channels
     lanes, rows, columns, threads = layout.lanes, layout.rows, layout.columns, layout.threads
     row_mask = rows - 1  # as in blending
-    tile_size, block_width, block_height = layout.tile_size, layout.block_width, layout.block_height
-    blocks_x, warps = layout.blocks_x, layout.warps
-    first_thermal, batch, header = variant.first_thermal, BATCH, HEADER
+    warps, first_thermal = layout.warps, variant.first_thermal
     first_behind, first_behind_t = variant.first_behind, variant.first_behind_thermal
     zero, half, one, alpha_max = dtype(0.0), dtype(0.5), dtype(1.0), dtype(ALPHA_MAX)
-    staged = variant.stages_features
-    kinds, response, reciprocal = variant.types, variant.response, lane_functions(dtype)[2]
-    survivors, waiting = variant.records(staged=staged), variant.queue(backwards=True)
+    kinds, PixelEnds, response, reciprocal = (
+        variant.types,
+        variant.types.PixelEnds,
+        variant.response,
+        lane_functions(dtype)[2],
+    )
+    blocks, walking = variant.blocks, variant.walk(staged=variant.stages_features, backwards=True)
     _, unpack_end = end_functions(dtype)
     length = record_length(C, variant.thermal_channels, absgrad)
     first_feature = feature_offset(variant.thermal_channels)
@@ -70,21 +71,14 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         return wp.where(a < half, behind + behind * (a * ra), behind * ra)
 
     @wp.func
-    def end_of_pixel(
-        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
-        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: there are none
-        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; read where there are no alphas
-        line: int,
-        x: int,
-        bits: int,
-    ):
+    def end_of_pixel(pixels: PixelEnds, line: int, x: int, bits: int):
         """The last pair and the light that is left."""
         alpha = zero
-        if alphas.shape[0] > 0:
-            alpha = alphas[line, x]
-        last_pair, light = unpack_end(ends[line, x], alpha, bits)
-        if alphas.shape[0] == 0:
-            light = transmittance[line, x]
+        if pixels.alphas.shape[0] > 0:
+            alpha = pixels.alphas[line, x]
+        last_pair, light = unpack_end(pixels.ends[line, x], alpha, bits)
+        if pixels.alphas.shape[0] == 0:
+            light = pixels.transmittance[line, x]
         return last_pair, light
 
     apart = ranges_apart(C, A, variant.thermal_channels, by_slot, absgrad)
@@ -113,31 +107,14 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     )
     def blend_tiles_adjoint_kernel(
         first_block: int,
-        tiles_x: int,
-        tiles_y: int,
-        width: int,
-        height: int,
-        means2d: wp.array(dtype=kinds.vec2),  # [images · N]
-        packed_roots: wp.array(dtype=kinds.vec4),  # [images · N]
-        extents: wp.array(dtype=kinds.vec2),  # [images · N]; read on the CPU alone
-        opacities: wp.array(dtype=dtype),  # [images · N]
-        thermal_opacities: wp.array(dtype=dtype),  # [images · N]; read where there are two opacities
-        features: rows_a,  # [images · N]
-        rest: rows_b,  # [images · N]; [0]: there are no other channels
-        gaussian_ids: wp.array(dtype=wp.int32),  # [pairs]
-        masks: wp.array(dtype=wp.uint8),  # [pairs]; read on CUDA alone
+        grid: TileGrid,
+        splats: kinds.Splats,
+        pairs: SortedPairs,
         slots: wp.array(dtype=wp.int32),  # [pairs]; read with by_slot
-        tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
-        segment: int,
-        cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; [0]: no list is cut
         states: wp.array3d(dtype=dtype),  # [rows, state_length, pixels of a tile]
         bits: int,
-        transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; read where there are no alphas
-        alphas: wp.array2d(dtype=dtype),  # [images · height, width]; [0, 0]: there are none
-        ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
-        thermal_transmittance: wp.array2d(dtype=dtype),  # [images · height, width]; as transmittance
-        thermal_alphas: wp.array2d(dtype=dtype),  # [images · height, width]; as alphas
-        thermal_ends: wp.array2d(dtype=wp.int32),  # [images · height, width]
+        pixel_ends: PixelEnds,
+        thermal_ends: PixelEnds,
         v_render: wp.array2d(dtype=kinds.vecA),  # [images · height, width]; [0, 0]: zeros, as in those below
         v_render_rest: wp.array2d(dtype=kinds.vecB),  # [images · height, width]
         sign: dtype,
@@ -154,28 +131,19 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
         v_rest: rows_b,  # [images · N]; [0]: there are no other channels
     ):
         block, thread = wp.tid()
-        block = block + first_block
-        tile, begin, end, _, to_row = list_of_block(block, tile_offsets, segment, cuts)
+        part_of_list = part_of_block(block + first_block, pairs)
+        begin = part_of_list.first
+        end = part_of_list.end
         if begin >= end:
             return
-
         warp = thread // lanes
         lane = thread % lanes
-        image = tile // (tiles_x * tiles_y)
-        in_image = tile % (tiles_x * tiles_y)
-        block_x = (in_image % tiles_x) * tile_size + (warp % blocks_x) * block_width
-        block_y = (in_image // tiles_x) * tile_size + (warp // blocks_x) * block_height
-
+        line_0 = part_of_list.tile // (grid.tiles_x * grid.tiles_y) * grid.height
+        block_x, block_y = blocks.corner_of(part_of_list.tile, warp, grid)
         # Pixels and means are seen from the middle of the block.
-        middle_x, middle_y = response.middle_of(block_x, block_y, width, height)
+        middle_x, middle_y = blocks.middle_of(block_x, block_y, grid)
         middle = kinds.vec2(dtype(middle_x), dtype(middle_y))
-        x0 = half - dtype(middle_x - block_x)
-        y0 = half - dtype(middle_y - block_y)
-        PX = kinds.vecQ()
-        PY = kinds.vecQ()
-        for q in range(columns):
-            PX[q] = x0 + dtype((lane + q * lanes) % block_width)
-            PY[q] = y0 + dtype((lane + q * lanes) // block_width)
+        PX, PY = blocks.centres(lane, middle_x - block_x, middle_y - block_y)
         T = kinds.vecP()
         Tt = kinds.vecP()
         S = kinds.vecP()
@@ -194,9 +162,9 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                 Tt[p] = one
                 last[p] = -1
                 last_t[p] = -1
-                if x < width and y < height:
-                    line = image * height + y
-                    last_pair, light = end_of_pixel(ends, alphas, transmittance, line, x, bits)
+                if x < grid.width and y < grid.height:
+                    line = line_0 + y
+                    last_pair, light = end_of_pixel(pixel_ends, line, x, bits)
                     T[p] = light
                     # gradients that are not given are zero
                     if v_transmittance.shape[0] > 0:
@@ -215,13 +183,14 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                     place = p * threads + thread
                     # where the pixel was not finished at the boundary, it left a state there
                     if last[p] >= end:
-                        T[p] = states[end // segment + to_row, 0, place]
+                        T[p] = states[end // pairs.segment + part_of_list.to_row, 0, place]
                         for c in range(C):
-                            S[p] += states[end // segment + to_row, first_behind + c, place] * v_pixel[c, p]
+                            S[p] += (
+                                states[end // pairs.segment + part_of_list.to_row, first_behind + c, place]
+                                * v_pixel[c, p]
+                            )
                     if wp.static(dual):
-                        last_pair, light = end_of_pixel(
-                            thermal_ends, thermal_alphas, thermal_transmittance, line, x, bits
-                        )
+                        last_pair, light = end_of_pixel(thermal_ends, line, x, bits)
                         Tt[p] = light
                         if v_thermal_transmittance.shape[0] > 0:
                             St[p] = sign * v_thermal_transmittance[line, x] * Tt[p]
@@ -232,71 +201,23 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                             for c in range(D):
                                 v_pixel_t[c, p] = vt[c]
                         if last_t[p] >= end:
-                            Tt[p] = states[end // segment + to_row, 1, place]
+                            Tt[p] = states[end // pairs.segment + part_of_list.to_row, 1, place]
                             for c in range(D):
-                                St[p] += states[end // segment + to_row, first_behind_t + c, place] * v_pixel_t[c, p]
+                                St[p] += (
+                                    states[end // pairs.segment + part_of_list.to_row, first_behind_t + c, place]
+                                    * v_pixel_t[c, p]
+                                )
 
         i = wp.min(int(warp_max(newest)), end - 1)
-        # The next up to 32 to be walked; on CUDA each lane has one
-        count = wp.min(batch, i - begin + 1)
-        place = int(0)
-        g = int(0)
-        taken = int(0)
-        put = int(0)
-        mask = int(0)
-        parts = int(0)
-        queue = wp.uint64(0)
-        address = wp.uint64(0)
-        if wp.static(cuda):
-            queue = waiting.queue_of_warp(warp)
-            address = survivors.records_of_warp(warp)
-            parts = waiting.block_parts(warp)
-            mask = waiting.mask_of(i - lane, begin, masks)
-            put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, begin, masks)
-            count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
-        while count > 0:
-            walked = count
-            if wp.static(cuda):
-                survivors.store(
-                    address, lane, count, place, g, middle,
-                    means2d, packed_roots, opacities, thermal_opacities, features, rest,
-                )  # fmt: skip
-                taken += count
-                put, i, mask = waiting.refill(queue, lane, parts, taken, put, i, mask, begin, masks)
-                count, place, g = waiting.take(queue, lane, taken, put, gaussian_ids)
-
-            for k in range(walked):
-                pair = i - k
-                gaussian = int(0)
-                m = kinds.vec2()
-                U = kinds.vec3()
-                o = zero
-                ot = zero
-                f = kinds.vecC()
-                row_first = int(0)
-                row_end = int(1)
-                if wp.static(cuda):
-                    entry = survivors.get(address, k)
-                    m = kinds.vec2(entry[0], entry[1])
-                    U = kinds.vec3(entry[2], entry[3], entry[4])
-                    o = entry[5]
-                    ot = entry[6]
-                    pair = survivors.integer(entry[7])
-                    gaussian = survivors.integer(entry[8])
-                    if wp.static(staged):
-                        for c in range(C):
-                            f[c] = entry[header + c]
-                    else:
-                        f = survivors.features_of(gaussian, features, rest)
-                else:
-                    gaussian = gaussian_ids[pair]
-                    root = packed_roots[gaussian]
-                    m = response.from_middle(means2d[gaussian], root, middle)
-                    U = response.in_units(root)
-                    o = opacities[gaussian]
-                    ot = thermal_opacities[gaussian]
-                    f = survivors.features_of(gaussian, features, rest)
-                    row_first, row_end = response.row_range(m, extents[gaussian], y0, rows)
+        walk = walking.begin(warp, lane, i, begin, pairs)
+        while walk.count > 0:
+            count = int(walk.count)
+            candidate = int(walk.candidate)
+            walk = walking.go_on(walk, lane, middle, splats, pairs)
+            for k in range(count):
+                pair, gaussian, m, U, o, ot, f, row_first, row_end = walking.gaussian(
+                    walk, candidate - k, k, middle, PY[0], splats, pairs
+                )
                 part = matLS()
                 hits = int(0)
                 for row in range(row_first, row_end):
@@ -377,8 +298,5 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
                         )  # fmt: skip
                     else:
                         store_column_sums(records, destination, part)
-            if wp.static(not cuda):
-                i -= walked
-                count = wp.min(batch, i - begin + 1)
 
     return blend_tiles_adjoint_kernel

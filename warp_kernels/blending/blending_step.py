@@ -24,7 +24,7 @@ from warp_kernels.blending.list_segments import deal_states_kernel, join_segment
 from warp_kernels.blending.pixel_ends import pair_bits
 from warp_kernels.blending.segment_light import segment_light_kernel
 from warp_kernels.constants import CHANNELS_MAX
-from warp_kernels.machinery.array_views import ArrayView, empty, memory, nothing, zeros
+from warp_kernels.machinery.array_views import ArrayView, empty, memory, zeros
 from warp_kernels.machinery.lanes import whole_warps
 from warp_kernels.machinery.launching import launch, launch_again, launch_tiles
 from warp_kernels.machinery.loading import made_once
@@ -67,13 +67,18 @@ class BlendWalk:
 
     Attributes:
         variant: of the kernels.
-        cuts: which lists are cut, and whose rows in ``states`` are; see list_segments. Empty where none is.
-        states: [rows, state_length, pixels of a tile] what each segment of a cut list left.
+        cuts: which lists are cut, and whose rows in ``states`` are; see list_segments. None where none may be.
+        states: [rows, state_length, pixels of a tile] what each segment of a cut list left; None likewise.
     """
 
     variant: BlendVariant
-    cuts: wp.array
-    states: wp.array
+    cuts: wp.array | None
+    states: wp.array | None
+
+    @property
+    def rows(self) -> int:
+        """Of ``states``."""
+        return 0 if self.states is None else self.states.shape[0]
 
 
 class BlendLauncher(Protocol):
@@ -141,7 +146,7 @@ def blend(
     size, geometry = _read(projected, opacities, thermal_opacities, features, rest, bins, settings)
     walk = _cut_lists(variant, bins, num_tiles)
     cuts, states = walk.cuts, walk.states
-    blocks = num_tiles + states.shape[0]
+    blocks = num_tiles + walk.rows
     lists = [*geometry, bins.tile_offsets, segment, cuts]
     # Where no list turns out to be cut, too: a call that is captured must find these kernels loaded.
     if segment > 0:
@@ -189,7 +194,7 @@ def _cut_lists(variant: BlendVariant, bins: TileBins, num_tiles: int) -> BlendWa
     """
     device, dtype, segment = bins.tile_offsets.device, variant.dtype, variant.layout.segment
     if segment == 0:
-        return BlendWalk(variant, nothing(wp.int32, 1, device), nothing(dtype, 3, device))
+        return BlendWalk(variant, None, None)
     rows = bins.num_pairs // segment
     cuts = zeros(num_tiles + rows + 1, wp.int32, device)
     launch_again(deal_states_kernel, num_tiles, [bins.tile_offsets, segment, cuts], device)
@@ -259,22 +264,22 @@ def blend_adjoint(
     draw_back = functools.partial(
         launch_tiles,
         blend_kernel_back,
-        bins.tile_offsets.shape[0] - 1 + walk.states.shape[0],
+        bins.tile_offsets.shape[0] - 1 + walk.rows,
         layout.threads,
         [
             *_read(projected, opacities, thermal_opacities, features, rest, bins, settings)[1],
-            bins.slots if by_slot else bins.gaussian_ids,
             bins.tile_offsets,
             layout.segment,
             walk.cuts,
+            bins.slots if by_slot else bins.gaussian_ids,
             walk.states,
             pair_bits(bins.num_pairs),
             blended.transmittance,
-            blended.alphas,
             blended.ends,
+            blended.alphas,
             thermal_transmittance,
-            thermal_alphas,
             thermal_ends,
+            thermal_alphas,
             v_render,
             v_render_rest,
             -1.0 if v_alphas else 1.0,

@@ -15,6 +15,7 @@ there is none; and the number of rows that were dealt. It is zero at first.
 
 import warp as wp
 
+from warp_kernels.blending.blend_arguments import SortedPairs
 from warp_kernels.blending.blend_variant import BlendVariant
 from warp_kernels.machinery.loading import made_once
 
@@ -47,39 +48,46 @@ def deal_states_kernel(
         cuts[k] = tile + 1
 
 
-@wp.func
-def list_of_block(
-    block: int,
-    tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
-    segment: int,
-    cuts: wp.array(dtype=wp.int32),  # [tiles + rows + 1]; not read where there are no more blocks than tiles
-):
-    """What a block of threads walks.
+@wp.struct
+class Part:
+    """What a block of threads walks: a list, or a segment of one. Empty where the first pair is beyond the end."""
 
-    Returns:
-        The tile, the first pair, the pair after the last, whether the list is cut, and then what takes a boundary to
-        its row. Where there is nothing to do for the block, the first pair is beyond the one after the last.
-    """
-    num_tiles = tile_offsets.shape[0] - 1
-    tile = int(block)
+    tile: int
+    begin: int  # of the list
+    first: int
+    end: int
+    is_cut: bool
+    is_first: bool
+    is_last: bool
+    to_row: int
+
+
+@wp.func
+def part_of_block(block: int, pairs: SortedPairs):
+    """What a block of threads walks; ``to_row`` takes a boundary to its row of the states."""
+    num_tiles = pairs.tile_offsets.shape[0] - 1
+    part = Part()
+    part.tile = block
     if block >= num_tiles:
-        tile = cuts[block] - 1
-    begin = int(0)
-    end = int(-1)
-    cut = bool(False)
-    to_row = int(0)
-    if tile >= 0:
-        begin = tile_offsets[tile]
-        end = tile_offsets[tile + 1]
-        cut = segment > 0 and end - begin > wp.static(LONG_LIST) * segment
-        if cut:
-            to_row = cuts[tile]
+        part.tile = pairs.cuts[block] - 1
+    part.end = -1
+    if part.tile >= 0:
+        begin = pairs.tile_offsets[part.tile]
+        end = pairs.tile_offsets[part.tile + 1]
+        part.begin = begin
+        part.first = begin
+        part.end = end
+        part.is_cut = pairs.segment > 0 and end - begin > wp.static(LONG_LIST) * pairs.segment
+        if part.is_cut:
+            part.to_row = pairs.cuts[part.tile]
             if block >= num_tiles:
-                begin = (block - num_tiles - to_row) * segment
-                end = begin + wp.min(end - begin, segment)
+                part.first = (block - num_tiles - part.to_row) * pairs.segment
+                part.end = part.first + wp.min(end - part.first, pairs.segment)
             else:
-                end = (begin // segment + 1) * segment
-    return tile, begin, end, cut, to_row
+                part.end = (begin // pairs.segment + 1) * pairs.segment
+        part.is_first = part.first == begin
+        part.is_last = part.end == end
+    return part
 
 
 @made_once

@@ -14,11 +14,15 @@ import warp as wp
 
 from warp_kernels.binning.tile_binning import MASK_COLUMNS, MASK_ROWS
 from warp_kernels.blending.alpha import alpha_functions
+from warp_kernels.blending.blend_arguments import SortedPairs, splats_type
 from warp_kernels.blending.blend_layout import BlendLayout
 from warp_kernels.machinery.lanes import LANES_CUDA, on_cuda, warp_sync
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.machinery.warp_lists import list_functions
 from warp_kernels.projection.packed_roots import packed_root_functions
+
+BATCH = 32
+"""Gaussians walked between two checks for unfinished pixels."""
 
 HEADER = 9
 """Numbers before the features: mean2d from the middle of the warp's block (2), root in ``alpha.UNIT`` (3), opacity,
@@ -55,28 +59,27 @@ def _stride(length: int, dtype: type) -> int:
     return (words | 1) * 16 // _size(dtype)
 
 
-class QueueFunctions(NamedTuple):
-    """Warp functions of a warp's queue of places in the list.
+@wp.struct
+class Walk:
+    """A warp's way along a list: the next up to 32 Gaussians to be walked, of which on CUDA each lane has one."""
 
-    Attributes:
-        queue_of_warp: the address of a warp's queue.
-        block_parts: the mask of its block.
-        mask_of: the mask of a place within the list.
-        refill: queues places until a warp's worth waits or none is left, given how many were taken from the queue and
-            put into it, where the next 32 candidates begin, the mask of this lane's, and the list's ``bound`` (forwards
-            the first place behind it, backwards its first place).
-        take: takes up to 32: how many, and this lane's place and Gaussian.
-    """
-
-    queue_of_warp: Any
-    block_parts: Any
-    mask_of: Any
-    refill: Any
-    take: Any
+    count: int
+    candidate: int  # the first pair that was not looked at; on the CPU, of those to be walked
+    bound: int  # forwards the first pair behind the list, backwards its first pair
+    # CUDA alone: addresses of the warp's queue and records; parts of the tile that its block lies in; the mask of the
+    # lane's next candidate; how many were put into the queue and taken from it; the lane's pair, and its Gaussian.
+    queue: wp.uint64
+    records: wp.uint64
+    parts: int
+    mask: int
+    put: int
+    taken: int
+    pair: int
+    gaussian: int
 
 
 @made_once
-def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
+def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any]:
     """From the masks of a list to the places of the pairs that reach a warp's block, in the list's order or against it.
 
     Args:
@@ -84,7 +87,8 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
         backwards: from the back of the list to its front.
 
     Returns:
-        The functions.
+        Warp functions ``(opened, refilled)``: a walk with an empty queue; and one that waits for a warp's worth of
+        places, or all that are left, and takes them.
     """
     part_width, part_height = layout.tile_size // MASK_COLUMNS, layout.tile_size // MASK_ROWS
     block_width, block_height, blocks_x = layout.block_width, layout.block_height, layout.blocks_x
@@ -122,70 +126,60 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> QueueFunctions:
         return mask
 
     @wp.func
-    def refill(
-        queue: wp.uint64,
-        lane: int,
-        parts: int,
-        taken: int,
-        put: int,
-        candidates: int,
-        mask: int,
-        bound: int,
-        masks: wp.array(dtype=wp.uint8),  # [pairs]
-    ):
-        end = int(put)
-        first = int(candidates)
-        own = int(mask)
-        warp_sync()  # all lanes have read what they took
-        while end - taken < LANES_CUDA and within(first, bound):
-            end = append(queue, end, lane, (own & parts) != 0, first + step * lane)
-            first += step * LANES_CUDA
-            own = mask_of(first + step * lane, bound, masks)
-        warp_sync()
-        return end, first, own
+    def opened(warp: int, lane: int, first: int, bound: int, pairs: SortedPairs):
+        walk = Walk()
+        walk.candidate = first
+        walk.bound = bound
+        walk.queue = queue_of_warp(warp)
+        walk.parts = block_parts(warp)
+        walk.mask = mask_of(first + step * lane, bound, pairs.masks)
+        return walk
 
     @wp.func
-    def take(
-        queue: wp.uint64,
-        lane: int,
-        taken: int,
-        put: int,
-        gaussian_ids: wp.array(dtype=wp.int32),  # [pairs]
-    ):
-        count = wp.min(put - taken, LANES_CUDA)
-        place = int(0)
-        gaussian = int(0)
-        if lane < count:
-            place = item(queue, taken + lane)
-            gaussian = gaussian_ids[place]
-        return count, place, gaussian
+    def refilled(walk: Walk, lane: int, pairs: SortedPairs):
+        put = int(walk.put)
+        candidate = int(walk.candidate)
+        mask = int(walk.mask)
+        warp_sync()  # all lanes have read what they took
+        while put - walk.taken < LANES_CUDA and within(candidate, walk.bound):
+            put = append(walk.queue, put, lane, (mask & walk.parts) != 0, candidate + step * lane)
+            candidate += step * LANES_CUDA
+            mask = mask_of(candidate + step * lane, walk.bound, pairs.masks)
+        warp_sync()
+        walk.put = put
+        walk.candidate = candidate
+        walk.mask = mask
+        walk.count = wp.min(put - walk.taken, LANES_CUDA)
+        walk.pair = 0
+        walk.gaussian = 0
+        if lane < walk.count:
+            walk.pair = item(walk.queue, walk.taken + lane)
+            walk.gaussian = pairs.gaussian_ids[walk.pair]
+        return walk
 
-    return QueueFunctions(queue_of_warp, block_parts, mask_of, refill, take)
+    return opened, refilled
 
 
-class RecordFunctions(NamedTuple):
-    """Warp functions of the records that a warp keeps in shared memory.
+class WalkFunctions(NamedTuple):
+    """Warp functions of a warp's walk along a list, on CUDA by way of records in shared memory.
 
     Attributes:
-        features_of: the features of a Gaussian.
-        records_of_warp: the address of a warp's records.
-        store: stores the Gaussians of the first ``count`` lanes.
-        get: reads one.
-        integer: the whole number that stands in one.
+        begin: the walk from a pair on, up to its ``bound``.
+        go_on: the walk behind the Gaussians to be walked now, which on CUDA are stored in records.
+        gaussian: one of the Gaussians to be walked: its pair, its index, its mean as seen from the block's middle, the
+            conic's root in ``alpha.UNIT``, both opacities, the features, and the rows of the lane that it reaches.
     """
 
-    features_of: Any
-    records_of_warp: Any
-    store: Any
-    get: Any
-    integer: Any
+    begin: Any
+    go_on: Any
+    gaussian: Any
 
 
 @made_once
-def record_functions(
-    channels: int, first_channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout
-) -> RecordFunctions:
-    """From the Gaussian that a lane took to the warp's records.
+def walk_functions(
+    channels: int, first_channels: int, staged: bool, dual: bool, dtype: type, layout: BlendLayout, backwards: bool
+) -> WalkFunctions:
+    """A walk along a list.
 
     Args:
         channels: C, features of a Gaussian.
@@ -194,10 +188,13 @@ def record_functions(
         dual: there are two opacities.
         dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
+        backwards: from the back of the list to its front.
 
     Returns:
         The functions.
     """
+    cuda, step, batch, rows = layout.lanes > 1, -1 if backwards else 1, BATCH, layout.rows
+    opened, refilled = queue_functions(layout, backwards)
     length = HEADER + (channels if staged else 0)
     stride = _stride(length, dtype)
     words, per_word = -(-length * _size(dtype) // 16), 16 // _size(dtype)
@@ -222,9 +219,9 @@ def record_functions(
     floats = LANES_CUDA * stride
     word = wp.int32 if dtype is wp.float32 else wp.int64
     remaining = channels - first_channels
-    vec2, vec4, vecC = (wp.types.vector(count, dtype) for count in (2, 4, channels))
-    vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(max(remaining, 1), dtype)
-    response = alpha_functions(dtype, layout)
+    vec2, vec3, vecC = (wp.types.vector(count, dtype) for count in (2, 3, channels))
+    Splats = splats_type(first_channels, max(remaining, 1), dtype)
+    response = alpha_functions(dtype)
     _, _, row = packed_root_functions(dtype)
     buffer = f"__shared__ __align__(16) {scalar} buffer[{layout.warps * floats}];"
     address_snippet = on_cuda(f"{buffer}\nreturn (wp::uint64)(buffer + warp * {floats});", "return 0;")
@@ -245,57 +242,91 @@ def record_functions(
         return int(wp.cast(x, word))
 
     @wp.func
-    def features_of(
-        g: int,
-        features: wp.array(dtype=vecA),  # [images · N]
-        rest: wp.array(dtype=vecB),  # [images · N]; [0]: there are no other channels
-    ):
+    def features_of(g: int, splats: Splats):
         f = vecC()
-        first = features[g]
+        first = splats.features[g]
         for c in range(first_channels):
             f[c] = first[c]
         if wp.static(remaining > 0):
-            others = rest[g]
+            others = splats.rest[g]
             for c in range(remaining):
                 f[first_channels + c] = others[c]
         return f
 
     @wp.func
-    def store(
-        address: wp.uint64,
-        lane: int,
-        count: int,
-        place: int,
-        g: int,
-        middle: vec2,
-        means2d: wp.array(dtype=vec2),  # [images · N]
-        packed_roots: wp.array(dtype=vec4),  # [images · N]
-        opacities: wp.array(dtype=dtype),  # [images · N]
-        thermal_opacities: wp.array(dtype=dtype),  # [images · N]
-        features: wp.array(dtype=vecA),  # [images · N]
-        rest: wp.array(dtype=vecB),  # [images · N]; [0]: there are no other channels
-    ):
+    def store(walk: Walk, lane: int, middle: vec2, splats: Splats):
+        """Writes the Gaussian of each lane to a record."""
         warp_sync()  # all lanes have walked the records before
-        if lane < count:
+        if lane < walk.count:
+            g = walk.gaussian
             r = record()
-            packed = row(packed_roots, g)
-            mean = response.from_middle(means2d[g], packed, middle)
+            packed = row(splats.packed_roots, g)
+            mean = response.from_middle(splats.means2d[g], packed, middle)
             root = response.in_units(packed)
             r[0] = mean[0]
             r[1] = mean[1]
             r[2] = root[0]
             r[3] = root[1]
             r[4] = root[2]
-            r[5] = opacities[g]
+            r[5] = splats.opacities[g]
             if wp.static(dual):
-                r[6] = thermal_opacities[g]
-            r[7] = wp.cast(word(place), dtype)
+                r[6] = splats.thermal_opacities[g]
+            r[7] = wp.cast(word(walk.pair), dtype)
             r[8] = wp.cast(word(g), dtype)
             if wp.static(staged):
-                f = features_of(g, features, rest)
+                f = features_of(g, splats)
                 for c in range(channels):
                     r[header + c] = f[c]
-            put(address, lane, r)
+            put(walk.records, lane, r)
         warp_sync()
 
-    return RecordFunctions(features_of, records_of_warp, store, get, integer)
+    @wp.func
+    def waiting(walk: Walk):
+        """On the CPU: how many are walked before it is asked again whether any pixel goes on."""
+        return wp.min(batch, wp.where(backwards, walk.candidate - walk.bound + 1, walk.bound - walk.candidate))
+
+    @wp.func
+    def begin(warp: int, lane: int, first: int, bound: int, pairs: SortedPairs):
+        if wp.static(cuda):
+            walk = opened(warp, lane, first, bound, pairs)
+            walk.records = records_of_warp(warp)
+            return refilled(walk, lane, pairs)
+        walk = Walk()
+        walk.candidate = first
+        walk.bound = bound
+        walk.count = waiting(walk)
+        return walk
+
+    @wp.func
+    def go_on(walk: Walk, lane: int, middle: vec2, splats: Splats, pairs: SortedPairs):
+        if wp.static(cuda):
+            store(walk, lane, middle, splats)
+            walk.taken += walk.count
+            return refilled(walk, lane, pairs)
+        walk.candidate += step * walk.count
+        walk.count = waiting(walk)
+        return walk
+
+    @wp.func
+    def gaussian(walk: Walk, pair: int, k: int, middle: vec2, y0: dtype, splats: Splats, pairs: SortedPairs):
+        """The k-th; on the CPU the one of the pair, with rows from y0 on."""
+        if wp.static(cuda):
+            entry = get(walk.records, k)
+            g = integer(entry[8])
+            f = vecC()
+            if wp.static(staged):
+                for c in range(channels):
+                    f[c] = entry[header + c]
+            else:
+                f = features_of(g, splats)
+            mean, root = vec2(entry[0], entry[1]), vec3(entry[2], entry[3], entry[4])
+            return integer(entry[7]), g, mean, root, entry[5], entry[6], f, 0, 1
+        g = pairs.gaussian_ids[pair]
+        packed = splats.packed_roots[g]
+        mean = response.from_middle(splats.means2d[g], packed, middle)
+        first, end = response.row_range(mean, splats.extents[g], y0, rows)
+        f = features_of(g, splats)
+        opacities = (splats.opacities[g], splats.thermal_opacities[g])
+        return pair, g, mean, response.in_units(packed), opacities[0], opacities[1], f, first, end
+
+    return WalkFunctions(begin, go_on, gaussian)

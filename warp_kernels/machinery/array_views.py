@@ -1,12 +1,10 @@
-"""Arrays as light as a kernel's argument, and launches that take them: what keeps a render's host time low.
+"""Arrays as light as a kernel's argument, which keep a render's host time low.
 
-Making a ``wp.array`` takes ten microseconds and ``wp.launch`` thirty, the host's time of a render of fifty arrays and
-ten kernels. An ``ArrayView`` is the descriptor that kernels read, packed once; a ``RecordedLaunch`` keeps what
-``wp.launch`` found out about a kernel and only exchanges the arguments' bytes. The rest of the package takes either
-kind of array: a view has the attributes of ``wp.array`` that steps, sorts and scans use.
+Making a ``wp.array`` takes ten microseconds, and a render has fifty arrays. An ``ArrayView`` is the descriptor that
+kernels read, packed once. The rest of the package takes either kind of array: a view has the attributes of ``wp.array``
+that steps, sorts and scans use.
 """
 
-import ctypes
 import functools
 import math
 import struct
@@ -238,75 +236,3 @@ def zeros(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
         The array.
     """
     return memory.source.zeros(shape, dtype, device)
-
-
-class RecordedLaunch:
-    """A launch of a kernel by Warp's recorded launch, whose arguments are exchanged by writing their bytes.
-
-    Args:
-        kernel: not generic.
-        dim: number of threads.
-        inputs: arrays, ints, floats and bools, of the same types at each launch; outputs included. None in the place
-            of an array: one without elements.
-        device: where to run.
-        block: threads a block.
-    """
-
-    def __init__(
-        self, kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list[Any], device: wp.Device, block: int
-    ) -> None:
-        arrays = [value.array() if type(value) is ArrayView else value for value in inputs]
-        command = wp.launch(kernel, dim, arrays, device=device, record_tape=False, record_cmd=True, block_dim=block)
-        command.fwd_args = None  # else the first call's arrays would live as long as the command
-        kinds = [type(param) for param in command.params[1:]]
-        layout = type("Arguments", (ctypes.Structure,), {"_fields_": [(f"a{k}", kind) for k, kind in enumerate(kinds)]})
-        self._bytes = layout()
-        formats, end = ["@"], 0
-        for k, kind in enumerate(kinds):
-            offset = getattr(layout, f"a{k}").offset
-            code = getattr(kind, "_type_", None)  # a number's; arrays, vectors and structs are bytes
-            code = code if isinstance(code, str) else f"{ctypes.sizeof(kind)}s"
-            formats.append(f"{offset - end}x{code}")
-            end = offset + ctypes.sizeof(kind)
-            # the command's own parameters, which on CUDA it holds the addresses of, become these bytes
-            command.params[k + 1] = kind.from_buffer(self._bytes, offset)
-            if command.params_addr:
-                command.params_addr[k + 1] = ctypes.addressof(self._bytes) + offset
-        self._pack_into = struct.Struct("".join(formats)).pack_into
-        self._command, self._dim = command, dim
-        # On the CPU, Warp would copy the parameters one by one into a struct of this layout.
-        self._run_on_cpu = command.hooks.forward if device.is_cpu and command.block_dim == 1 else None
-        self._pointers = ctypes.byref(command.bounds), ctypes.byref(self._bytes)
-
-    def launch(self, dim: int | tuple[int, int], inputs: list[Any]) -> None:
-        """Launches with other arguments and another number of threads.
-
-        Args:
-            dim: number of threads.
-            inputs: as in the constructor.
-        """
-        if dim != self._dim:
-            self._command.set_dim(dim)
-            self._dim = dim
-            self._pointers = ctypes.byref(self._command.bounds), self._pointers[1]
-        packed = [
-            v.packed if type(v) is ArrayView else v if type(v) in _NUMBERS else b"" if v is None else _packed(v)
-            for v in inputs
-        ]
-        self._pack_into(self._bytes, 0, *packed)
-        if self._run_on_cpu is not None:
-            self._run_on_cpu(*self._pointers)
-        else:
-            self._command.launch(memory.source.stream)
-
-
-_NUMBERS = frozenset((int, float, bool))
-
-
-def _packed(value: Any) -> Any:
-    """Any other argument as ``struct`` packs it: a number, or the bytes of an array, a struct or a vector."""
-    if isinstance(value, (int, float)):
-        return value
-    if hasattr(value, "__ctype__"):
-        return bytes(value.__ctype__())
-    return value.value if hasattr(value, "value") else bytes(value)  # a Warp scalar, or a vector

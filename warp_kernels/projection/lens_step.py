@@ -17,8 +17,8 @@ from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_
 from warp_kernels.projection.affine_cameras import affine_camera_kernel, block_threads
 from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD, WarpRows, lens_finish_kernel
 from warp_kernels.projection.lens_models import LensModel, lens_limits
+from warp_kernels.projection.plain_camera_step import seen_and_stored
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
-from warp_kernels.projection.projection_step import seen_and_stored
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def project_through_lenses(
     settings: ProjectionSettings,
     projected: ProjectedArrays,
 ) -> None:
-    """Projects Gaussians as ``projection_step.project`` does, through lenses.
+    """Projects Gaussians as ``plain_camera_step.project_gaussians`` does, through lenses.
 
     Args:
         gaussians: inputs, with quats and scales.
@@ -106,7 +106,7 @@ def project_through_lenses_adjoint(
     store: bool = False,
     add_to_means: bool = False,
 ) -> None:
-    """The adjoint of ``project_through_lenses``; arguments as ``projection_step.project_adjoint``'s.
+    """The adjoint of ``project_through_lenses``; arguments as ``plain_camera_step.project_gaussians_adjoint``'s.
 
     Args:
         gaussians: as in ``project_through_lenses``.
@@ -140,7 +140,7 @@ def project_through_lenses_adjoint(
             projected.means2d.grad,
             projected.depths.grad,
             projected.roots.grad,
-            projected.compensations.grad,
+            None if projected.compensations is None else projected.compensations.grad,
             store,
             store and not add_to_means,
             gradient_of(gaussians.means),

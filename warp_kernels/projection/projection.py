@@ -242,7 +242,7 @@ class ProjectedArrays:
         roots: vec3 [images · N], root (u, k, v) of the inverse 2D covariance, 1/px, 1, 1/px (see the module). The first
             three numbers of ``packed_roots``, in the same memory.
         compensations: [images · N], opacity factor of the antialiased mode (1 in the classic one); 0 where culled. May
-            be empty in the classic mode.
+            be None in the classic mode.
         visible: bool [images · N]; where it is False the Gaussian is culled, and nothing but this and a compensation
             was written.
         extents: vec2 [images · N], px: half the bounding box of the region with alpha >= ALPHA_MIN.
@@ -252,7 +252,7 @@ class ProjectedArrays:
     means2d: wp.array
     depths: wp.array
     roots: wp.array
-    compensations: wp.array
+    compensations: wp.array | None
     visible: wp.array
     extents: wp.array
     packed_roots: wp.array

@@ -9,27 +9,25 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from thermosplat.rasterizer.arguments import (
+from thermosplat.rasterizer.arguments import check_color_choice, refuse_unsupported
+from thermosplat.rasterizer.blended_values import ImageColumns, grouped, rejoined
+from thermosplat.rasterizer.call_inputs import (
     CameraModel,
+    Cameras,
+    Drawn,
+    LensArguments,
     RasterizeMode,
     RenderMode,
-    check_color_choice,
-    refuse_unsupported,
+    Splats,
 )
-from thermosplat.rasterizer.graph_breaks import not_compiled
-from thermosplat.rasterizer.image_columns import ImageColumns
-from thermosplat.rasterizer.lenses import LensArguments
-from thermosplat.rasterizer.packed_info import packed_where_asked
-from thermosplat.rasterizer.project import project
+from thermosplat.rasterizer.packed_info import PackedEntries
 from thermosplat.rasterizer.ray_blending import blend_along_rays, check_ray_arguments
 from thermosplat.rasterizer.render_options import render_options
 from thermosplat.rasterizer.replay.replayed_calls import replayed
-from thermosplat.rasterizer.signals import grouped, rejoined
+from thermosplat.rasterizer.scene_of_call import scene_of
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 
-@not_compiled
-@packed_where_asked
 @replayed
 def rasterization(  # noqa: D417 (one sentence has the arguments that are not supported)
     means: Tensor,  # [..., N, 3]
@@ -211,37 +209,19 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
                 "deterministic": deterministic and getattr(means, "is_cuda", False),
             },
         )
-    drawn = grouped("colors", colors, options.sh_degree, means) if options.colors else {}
-    color_groups = len(drawn)
+    values = grouped("colors", colors, options.sh_degree, means) if options.colors else {}
+    color_groups = len(values)
     if extra_signals is not None:
-        drawn |= grouped("extra_signals", extra_signals, options.extra_signals_sh_degree, means, clamped=False)
+        values |= grouped("extra_signals", extra_signals, options.extra_signals_sh_degree, means, clamped=False)
+    splats = Splats(means, quats, scales, opacities, covars)
     if sparse_grad:
         check_sparse_gradients(means, packed=packed, distributed=distributed)
         visible: list[Tensor] = []
-        means, quats, scales, covars = sparse_gradients_of(means, quats, scales, covars, visible=visible)
-    scene = project(
-        means,
-        quats,
-        scales,
-        opacities,
-        viewmats,
-        Ks,
-        width,
-        height,
-        drawn=drawn,
-        covars=covars,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
-        tile_size=16 if tile_size is None else tile_size,
-        rasterize_mode=rasterize_mode,
-        camera_model=camera_model,
-        lens=lens,
-        deterministic=deterministic,
-        global_z_order=global_z_order,
-        distributed=distributed,
-    )
+        splats = sparse_gradients_of(splats, visible=visible)
+    cameras = Cameras(viewmats, Ks, width, height, near_plane, far_plane, camera_model, lens)
+    tile_size = 16 if tile_size is None else tile_size
+    how = (radius_clip, eps2d, tile_size, rasterize_mode, deterministic, global_z_order, distributed)
+    scene = scene_of(splats, cameras, Drawn(values, *how))
     if sparse_grad:
         visible.append(scene.projected.visible.any(0))
     depths = scene.depths.reshape(-1, 1) if options.depths else None
@@ -258,16 +238,9 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
         behind = columns.behind(backgrounds, means, scene.settings.num_cameras, 0 if given is None else given.shape[-1])
     along: Any = None
     if with_eval3d:
-        gaussians, cameras = (means, quats, scales), (viewmats, Ks, camera_model)
+        features = columns.features
         along = blend_along_rays(
-            scene,
-            gaussians,
-            cameras,
-            columns.features,
-            options.chunk,
-            rays=rays,
-            hits=options.hits,
-            normals=return_normals,
+            scene, splats, cameras, features, options.chunk, rays=rays, hits=options.hits, normals=return_normals
         )
         render, transmittance, alphas = along.render, along.transmittance, 1.0 - along.transmittance
     else:
@@ -278,6 +251,8 @@ def rasterization(  # noqa: D417 (one sentence has the arguments that are not su
     distances = along.hits if options.hits else None
     render_colors, render_extra_signals = columns.split_image(render, expected=options.expected, hits=distances)
     info = scene.info()
+    if packed:
+        info.entries = PackedEntries(info.entries)
     if return_normals:
         info["normals"] = along.normals
     if render_extra_signals is not None:

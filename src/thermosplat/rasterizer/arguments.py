@@ -1,22 +1,27 @@
-"""Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported."""
+"""Checks of the rasterizer's arguments: each failure says what was expected, what was found and what is supported.
 
+A call whose arguments are right passes few conditions here. Numbers and words are checked once for the same ones.
+"""
+
+import functools
 import math
-from typing import Any, Literal, cast, get_args
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast, get_args
 
 import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.checked_numbers import checked_limits, checked_sizes, remembered
+from thermosplat.rasterizer.call_inputs import CameraModel, Cameras, Drawn, RasterizeMode, RenderMode, Splats
+from thermosplat.rasterizer.checked_numbers import as_whole, checked_limits, checked_sizes
 from thermosplat.rasterizer.graph_breaks import refuse_transforms
 from warp_kernels.constants import SH_DEGREE_MAX, TILE_SIZES
 from warp_kernels.projection.plain_cameras import CameraModel as PlainCameraModel
 from warp_kernels.projection.projection import ProjectionSettings
 from warp_kernels.projection.unscented_ellipse import ALPHA, BETA
 
-RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED", "d", "Ed", "RGB-d", "RGB-Ed"]
-RasterizeMode = Literal["classic", "antialiased"]
-CameraModel = Literal["pinhole", "ortho", "fisheye", "ftheta"]
+Arguments = ParamSpec("Arguments")
+Found = TypeVar("Found")
 
 PLAIN_MODELS = get_args(PlainCameraModel)
 """Cameras that are linearised where nothing asks for the unscented transform."""
@@ -43,6 +48,40 @@ IN_PLACE = {
 
 UT_PARAMS = {"alpha": ALPHA, "beta": BETA, "kappa": 0.0}
 """Of gsplat's ``UnscentedTransformParameters``."""
+
+_OF_PYTHON = frozenset((int, float, bool, str, type(None)))
+
+_MEANINGS = {
+    "quats": "[..., N, 4] with N from means",
+    "scales": "[..., N, 3] with N from means",
+    "covars": "[..., N, 3, 3] with N from means, or [..., N, 6]",
+    "opacities": "[..., N] with N from means",
+    "viewmats": "[..., C, 4, 4]",
+    "Ks": "[..., C, 3, 3] with C from viewmats",
+}
+"""Shapes in letters, for messages."""
+
+
+def remembered(check: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
+    """Lets a check of numbers and words, which depends on nothing else, do its work once for the same arguments.
+
+    Only for Python's own kinds, which cannot change; 1, 1.0 and True are not the same. What is refused is checked anew.
+
+    Args:
+        check: Raises, or returns something that nobody changes.
+
+    Returns:
+        It, to be called by position.
+    """
+    known = functools.lru_cache(maxsize=256, typed=True)(check)
+
+    @functools.wraps(check)
+    def checked(*arguments: Arguments.args, **named: Arguments.kwargs) -> Found:
+        if not named and _OF_PYTHON.issuperset(map(type, arguments)):
+            return known(*arguments)
+        return check(*arguments, **named)
+
+    return checked
 
 
 def refuse_unsupported(**arguments: Any) -> None:
@@ -72,7 +111,7 @@ def check_choice(name: str, value: Any) -> None:
 
     Args:
         name: of the argument; what is none of them is a degree of spherical harmonics.
-        value: what was given, a whole number ``as_whole``.
+        value: what was given, a whole number as Python's.
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.
@@ -83,8 +122,28 @@ def check_choice(name: str, value: Any) -> None:
         raise UserError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}.")
 
 
-def _check_tensor(name: str, tensor: Any) -> None:
-    """Checks that an argument is a tensor whose numbers lie in memory."""
+@remembered
+def checked_choice(name: str, value: Any) -> Any:
+    """As ``check_choice``, of a whole number of any kind.
+
+    Returns:
+        The same as Python's number.
+    """
+    value = as_whole(value)
+    check_choice(name, value)
+    return value
+
+
+def check_is_dense(name: str, tensor: Any) -> None:
+    """Checks that an argument is a tensor whose numbers lie in memory.
+
+    Args:
+        name: of the argument.
+        tensor: what was given.
+
+    Raises:
+        UserError: naming the argument and what was found.
+    """
     if not isinstance(tensor, Tensor):
         raise UserError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}.")
     if tensor.layout is not torch.strided:
@@ -113,7 +172,7 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
         and tensor.device == means.device
     ):
         return
-    _check_tensor(name, tensor)
+    check_is_dense(name, tensor)
     if tensor.shape != shape:
         letters = f" = {meaning}" if meaning else ""
         raise UserError(f"{name} must have shape {list(shape)}{letters}, got {list(tensor.shape)}.")
@@ -123,117 +182,56 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
         raise UserError(f"{name} must be on the device of means, {means.device}, got {tensor.device}.")
 
 
-def check_scene(
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    covars: Tensor | None,
-    opacities: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
-) -> tuple[int, int]:
+def check_scene(splats: Splats, cameras: Cameras) -> None:
     """Checks Gaussians and cameras.
 
     Args:
-        means: [..., N, 3].
-        quats: [..., N, 4], or None with covars.
-        scales: [..., N, 3], or None with covars.
-        covars: [..., N, 3, 3] or None.
-        opacities: [..., N].
-        viewmats: [..., C, 4, 4].
-        Ks: [..., C, 3, 3].
-
-    Returns:
-        The number of cameras per scene and of Gaussians per scene.
+        splats: as given.
+        cameras: as given.
 
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    refuse_transforms()
-    _check_tensor("means", means)
+    means, quats, scales, opacities, covars, thermal_opacities = splats
+    viewmats, Ks = cameras[:2]
+    if torch._C._are_functorch_transforms_active():
+        refuse_transforms()
+    check_is_dense("means", means)
     if not (means.is_cuda or means.is_cpu):
         raise UserError(f"means must be on the CPU or on a CUDA device, got {means.device}.")
     if means.dim() < 2 or means.shape[-1] != 3:
         raise UserError(f"means must have shape [..., N, 3], got {list(means.shape)}.")
-    if means.dtype not in (torch.float32, torch.float64):
-        raise UserError(f"means must be float32 or float64, got {means.dtype}.")
+    dtype, device = means.dtype, means.device
+    if dtype not in (torch.float32, torch.float64):
+        raise UserError(f"means must be float32 or float64, got {dtype}.")
     *batch, count, _ = means.shape
+    wanted: list[tuple[str, Any, tuple[int, ...]]]
     if covars is None:
-        for name, value in (("quats", quats), ("scales", scales)):
-            if value is None:
-                raise UserError(f"{name} must be given unless covars is, got None.")
-        check_shape("quats", quats, (*batch, count, 4), means, "[..., N, 4] with N from means")
-        check_shape("scales", scales, (*batch, count, 3), means, "[..., N, 3] with N from means")
+        if quats is None or scales is None:
+            raise UserError(f"{'quats' if quats is None else 'scales'} must be given unless covars is, got None.")
+        wanted = [("quats", quats, (*batch, count, 4)), ("scales", scales, (*batch, count, 3))]
     else:
-        meaning = "[..., N, 3, 3] with N from means, or [..., N, 6]"
-        check_shape("covars", covars, (*batch, count, 3, 3), means, meaning)
-    check_shape("opacities", opacities, (*batch, count), means, "[..., N] with N from means")
+        rows = (6,) if isinstance(covars, Tensor) and covars.shape[-1:] == (6,) else (3, 3)
+        wanted = [("covars", covars, (*batch, count, *rows))]
+    wanted.append(("opacities", opacities, (*batch, count)))
     if not isinstance(viewmats, Tensor) or viewmats.dim() != len(batch) + 3:
         found = list(viewmats.shape) if isinstance(viewmats, Tensor) else type(viewmats).__name__
         raise UserError(f"viewmats must have shape {[*batch, 'C', 4, 4]}, got {found}.")
-    cameras = viewmats.shape[-3]
-    check_shape("viewmats", viewmats, (*batch, cameras, 4, 4), means, "[..., C, 4, 4]")
-    check_shape("Ks", Ks, (*batch, cameras, 3, 3), means, "[..., C, 3, 3] with C from viewmats")
-    if cameras == 0:
+    number = viewmats.shape[-3]
+    wanted += [("viewmats", viewmats, (*batch, number, 4, 4)), ("Ks", Ks, (*batch, number, 3, 3))]
+    if thermal_opacities is not None:
+        wanted.append(("thermal_opacities", thermal_opacities, (*batch, count)))
+    for name, tensor, shape in wanted:
+        if not (
+            isinstance(tensor, Tensor)
+            and tensor.shape == shape
+            and tensor.dtype is dtype
+            and tensor.device == device
+            and tensor.layout is torch.strided
+        ):
+            check_shape(name, tensor, shape, means, _MEANINGS.get(name, ""))
+    if number == 0:
         raise UserError("viewmats must hold at least one camera, got 0.")
-    return cameras, count
-
-
-def check_colors(
-    name: str, colors: Tensor | tuple[Tensor, Tensor], means: Tensor, cameras: int, sh_degree: int | None
-) -> bool:
-    """Checks colours or features.
-
-    Args:
-        name: of the argument.
-        colors: [..., (C,) N, D], or with ``sh_degree`` [..., (C,) N, K, 3] or the pair of its first coefficient
-            [..., (C,) N, 1, 3] and the others [..., (C,) N, K - 1, 3].
-        means: [..., N, 3].
-        cameras: C.
-        sh_degree: active degree or None.
-
-    Returns:
-        Whether there are values of their own for each camera.
-
-    Raises:
-        UserError: naming the argument, what was expected and what was found.
-    """
-    if isinstance(colors, tuple):
-        if len(colors) == 2 and sh_degree is not None:
-            return _check_pair(name, *colors, means, cameras, sh_degree)
-        raise UserError(f"{name} must be a torch.Tensor, got {type(colors).__name__}.")
-    _check_tensor(name, colors)
-    *batch, count, _ = means.shape
-    shape, tail = tuple(colors.shape), 1 if sh_degree is None else 2
-    per_camera = len(shape) == len(batch) + 2 + tail
-    lead = (*batch, cameras, count) if per_camera else (*batch, count)
-    letters = "[..., (C,) N, D]" if sh_degree is None else "[..., (C,) N, K, 3]"
-    if len(shape) != len(lead) + tail or shape[: len(lead)] != lead:
-        expected = f"{letters} with N = {count} (from means) and C = {cameras} (from viewmats)"
-        mode = "without sh_degree" if sh_degree is None else f"with sh_degree={sh_degree}"
-        raise UserError(f"{name} {mode} must have shape {expected}, got {list(colors.shape)}.")
-    check_shape(name, colors, shape, means)
-    if shape[-1] < 1:
-        raise UserError(f"{name} must have at least one channel, got {list(colors.shape)}.")
-    if sh_degree is None:
-        return per_camera
-    needed = (sh_degree + 1) ** 2
-    if shape[-1] != 3 or shape[-2] < needed:
-        raise UserError(
-            f"{name} must hold at least {needed} coefficients of 3 channels for sh_degree={sh_degree} "
-            f"({letters}), got {list(colors.shape)}."
-        )
-    return per_camera
-
-
-def _check_pair(name: str, sh0: Tensor, shN: Tensor, means: Tensor, cameras: int, sh_degree: int) -> bool:
-    """``check_colors`` of coefficients in two tensors."""
-    per_camera = check_colors(f"{name}[0]", sh0, means, cameras, 0)
-    check_shape(f"{name}[0]", sh0, (*sh0.shape[:-2], 1, 3), means)
-    needed = (sh_degree + 1) ** 2 - 1
-    given = shN.shape[-2] if isinstance(shN, Tensor) and shN.dim() > 1 else 0
-    check_shape(f"{name}[1]", shN, (*sh0.shape[:-2], max(given, needed), 3), means)
-    return per_camera
 
 
 def check_color_choice(colors: Any, sh_degree: int | None, render_mode: str) -> None:
@@ -273,39 +271,26 @@ def check_backgrounds(backgrounds: Tensor | None, channels: int, means: Tensor, 
             raise UserError("backgrounds must be finite, found a NaN or an infinity: every pixel would show it.")
 
 
-def checked_settings(
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    covars: Tensor | None,
-    opacities: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
-    *,
-    width: int,
-    height: int,
-    near_plane: float,
-    far_plane: float,
-    radius_clip: float,
-    eps2d: float,
-    tile_size: int,
-    rasterize_mode: str,
-    camera_model: CameraModel,
-) -> ProjectionSettings:
+def checked_settings(splats: Splats, cameras: Cameras, drawn: Drawn) -> tuple[ProjectionSettings, int]:
     """Checks what is projected, and how, and gives the projection's settings.
 
-    ``tile_size``, which is not among them, is to be given ``as_whole``.
+    Args:
+        splats: as given.
+        cameras: as given.
+        drawn: as given; the values are not looked at.
 
     Returns:
-        The settings in Python's own numbers, with the numbers of Gaussians, cameras and images.
+        The settings, with the numbers of Gaussians, cameras and images, and the edge of a tile [px], all of them in
+        Python's own numbers.
 
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    cameras, count = check_scene(means, quats, scales, covars, opacities, viewmats, Ks)
-    planes = (near_plane, far_plane, radius_clip, eps2d)
-    images = math.prod(means.shape[:-2]) * cameras
-    return _settings(count, cameras, images, width, height, *planes, tile_size, rasterize_mode, camera_model)
+    check_scene(splats, cameras)
+    *batch, count, _ = splats.means.shape
+    number = cameras.viewmats.shape[-3]
+    images = math.prod(batch) * number
+    return _settings(count, number, images, *cameras[2:7], *drawn[1:5])
 
 
 @remembered
@@ -317,16 +302,16 @@ def _settings(
     height: int,
     near_plane: float,
     far_plane: float,
+    camera_model: CameraModel,
     radius_clip: float,
     eps2d: float,
     tile_size: int,
     rasterize_mode: str,
-    camera_model: CameraModel,
-) -> ProjectionSettings:
+) -> tuple[ProjectionSettings, int]:
     """The settings of checked tensors, whose counts are given."""
+    tile_size = checked_choice("tile_size", tile_size)
     check_choice("rasterize_mode", rasterize_mode)
     check_choice("camera_model", camera_model)
-    check_choice("tile_size", tile_size)
     width, height = checked_sizes(width=width, height=height)
     limits = checked_limits(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
     if images * count >= INDEX_MAX or images * height >= INDEX_MAX:
@@ -335,7 +320,7 @@ def _settings(
             f"number ({INDEX_MAX - 1:,} Gaussians, and as many rows, over all images).",
             "Render fewer cameras per call.",
         )
-    return ProjectionSettings(
+    settings = ProjectionSettings(
         width=width,
         height=height,
         num_gaussians=count,
@@ -346,3 +331,4 @@ def _settings(
         # the others have lenses, whose kernels do not read this
         camera_model=cast("PlainCameraModel", camera_model if camera_model in PLAIN_MODELS else "pinhole"),
     )
+    return settings, tile_size

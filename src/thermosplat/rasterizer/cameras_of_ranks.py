@@ -4,14 +4,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, groupby, pairwise
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import torch
 from torch import Tensor
 
 from thermosplat.distributed.collectives import GatheredRows, numbers_of_all
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.arguments import CameraModel, check_shape
+from thermosplat.rasterizer.arguments import check_shape
+from thermosplat.rasterizer.call_inputs import CameraModel
 from thermosplat.rasterizer.lenses import Lenses
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel
 from warp_kernels.projection.lens_step import LensSettings
@@ -63,11 +64,11 @@ class CamerasOfRanks:
     rows: Tensor
     """View matrix, intrinsics, and where some rank has them lens, motion and second view matrix, [C_world, X]."""
 
-    def by_kind(self) -> Iterator[tuple[Tensor, Tensor, CameraKind, Lenses | None, slice]]:
+    def by_kind(self) -> Iterator[tuple[dict[str, Any], Lenses | None, slice]]:
         """Neighbours of one kind, which are rendered by one launch.
 
-        View matrices, intrinsics, the kind, lenses, and which cameras they are; the last ones to the end, so that
-        values for more cameras than there are do not fit.
+        Fields of their ``Cameras``, lenses, and which cameras they are; the last ones to the end, so that values for
+        more cameras than there are do not fit.
         """
         columns = [_POSE, _INTRINSICS, LENS_COEFFS, MOTION, _POSE]
         edges = list(pairwise([0, *accumulate(columns)]))
@@ -83,7 +84,8 @@ class CamerasOfRanks:
             elif kind.lens is not None:
                 lenses = Lenses(kind.lens, coefficients, None, viewmats)
             which = slice(start, stop if stop < len(self.kinds) else None)
-            yield viewmats, intrinsics.reshape(-1, 3, 3), kind, lenses, which
+            size = {"width": kind.width, "height": kind.height, "camera_model": kind.camera_model}
+            yield {"viewmats": viewmats, "Ks": intrinsics.reshape(-1, 3, 3), **size}, lenses, which
             start = stop
 
 

@@ -1,44 +1,15 @@
 """Numbers among the rasterizer's arguments, of any library's kind, as Python's own."""
 
-import functools
 import math
 import operator
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import torch
 
 from thermosplat.errors import UserError
 
-Arguments = ParamSpec("Arguments")
-Found = TypeVar("Found")
-
 SIZE_MAX = 2**24
 """Width and height of an image, at most [px]: float32 holds the pixels' places up to there."""
-
-_OF_PYTHON = frozenset((int, float, bool, str, type(None)))
-
-
-def remembered(check: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
-    """Lets a check of numbers and words, which depends on nothing else, do its work once for the same arguments.
-
-    Only for Python's own kinds, which cannot change; 1, 1.0 and True are not the same. What is refused is checked anew.
-
-    Args:
-        check: Raises, or returns something that nobody changes.
-
-    Returns:
-        It, to be called by position.
-    """
-    known = functools.lru_cache(maxsize=256, typed=True)(check)
-
-    @functools.wraps(check)
-    def checked(*arguments: Arguments.args, **named: Arguments.kwargs) -> Found:
-        if not named and _OF_PYTHON.issuperset(map(type, arguments)):
-            return known(*arguments)
-        return check(*arguments, **named)
-
-    return checked
 
 
 def as_whole(number: Any) -> Any:

@@ -5,41 +5,42 @@ it, where it is binned and blended like any other scene.
 """
 
 import threading
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, cast
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar, cast
 
 import torch
 import torch.distributed as dist
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.blending import BlendedTensors
+from thermosplat.rasterizer.blending_autograd import BlendedTensors
+from thermosplat.rasterizer.call_inputs import Cameras
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, cameras_of_ranks
 from thermosplat.rasterizer.exchange import AbsoluteGradients, Exchange
-from thermosplat.rasterizer.info import RasterizationInfo, conics, entries_of_seen
+from thermosplat.rasterizer.info import Entries, RasterizationInfo, clear_unseen, conics, radii_of
 from thermosplat.rasterizer.lenses import Lenses
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
 from thermosplat.rasterizer.projected_scene import ProjectedScene
-from thermosplat.rasterizer.projection import ProjectedTensors
+from thermosplat.rasterizer.projection_autograd import ProjectedTensors
 from thermosplat.rasterizer.row_routes import route_in_room, route_of_seen
 
 MOST_ROWS = 2**31
 """Projected Gaussians are numbered with 32 bits."""
 
-MakeScene = Callable[[Tensor, Tensor, CameraKind, Lenses | None, slice], ProjectedScene]
-"""Projects this rank's Gaussians to cameras: view matrices, intrinsics, of what kind, their lenses, which of all."""
+MakeScene = Callable[[Cameras, Lenses | None, slice], ProjectedScene]
+"""Projects this rank's Gaussians to cameras of one kind: their lenses, and which of all they are."""
 
 
 def scene_among_ranks(
-    make: MakeScene, viewmats: Tensor, Ks: Tensor, kind: CameraKind, lenses: Lenses | None, num_gaussians: int
+    make: MakeScene, own: Cameras, kind: CameraKind, lenses: Lenses | None, num_gaussians: int
 ) -> ProjectedScene:
     """What this rank's cameras see of the Gaussians of all ranks.
 
     Args:
         make: Projects this rank's Gaussians.
-        viewmats: This rank's cameras, [C, 4, 4], checked; there may be none.
-        Ks: Their intrinsics, [C, 3, 3], checked.
+        own: This rank's cameras, [C, 4, 4] and [C, 3, 3], checked; there may be none.
         kind: What they have in common; other ranks may have others.
         lenses: Their lenses.
         num_gaussians: On this rank.
@@ -47,8 +48,8 @@ def scene_among_ranks(
     Raises:
         UserError: No rank has a camera.
     """
-    cameras = cameras_of_ranks(viewmats, Ks, kind, lenses, num_gaussians)
-    parts = [make(*alike) for alike in cameras.by_kind()]
+    cameras = cameras_of_ranks(own.viewmats, own.Ks, kind, lenses, num_gaussians)
+    parts = [make(own._replace(**alike), through, which) for alike, through, which in cameras.by_kind()]
     sizes = [(of_camera.width, of_camera.height) for of_camera in cameras.kinds]
     return ExchangedScene(parts, cameras.counts, sizes, cameras.most_gaussians, kind.width, kind.height)
 
@@ -84,9 +85,6 @@ class ExchangedScene(ProjectedScene):
                 f"{most_gaussians:,} Gaussians on a rank before {len(sizes)} cameras are more than 2^31 projections.",
                 "Use more devices, or a smaller --batch-size.",
             )
-        self.tile_size, self.deterministic = first.tile_size, first.deterministic
-        self._turns = threading.Lock()
-        self._lists = None
 
         def joined(of: Callable[[ProjectedScene], Tensor]) -> Tensor:
             tensors = [of(part) for part in parts]
@@ -102,7 +100,6 @@ class ExchangedScene(ProjectedScene):
         if first.thermal_opacities is not None:
             self._own_thermal = joined(lambda part: cast("Tensor", part.thermal_opacities))
         self._parts, self._sizes = parts, sizes
-        self._inputs, self._harmonics, self._cameras = first._inputs, first._harmonics, first._cameras
 
         capacity = active_pair_capacity()
         room = None if capacity is None else capacity.room_for_rows()
@@ -115,7 +112,7 @@ class ExchangedScene(ProjectedScene):
             capacity.note_rows(visible.sum(dim=1).amax())
             if cameras == 0:
                 capacity.note(visible.new_zeros(1, dtype=torch.int64))  # it has no pairs, and is a call all the same
-        self.settings = replace(
+        settings = replace(
             first.settings,
             width=width,
             height=height,
@@ -123,7 +120,6 @@ class ExchangedScene(ProjectedScene):
             num_cameras=cameras,
             num_images=cameras,
         )
-        self.images_shape = (cameras,)
         differentiable = [self._own_means2d, self._own_depths, self._own_roots, self._own_opacities]
         if self._own_thermal is not None:
             differentiable.append(self._own_thermal)
@@ -133,28 +129,36 @@ class ExchangedScene(ProjectedScene):
         rows = [_rows(tensor, num_gaussians * len(sizes)) for tensor in (*differentiable, *features, *carried)]
         packed_roots = _rows(joined(lambda part: part.projected.packed_roots), num_gaussians * len(sizes))
         self._absolute = AbsoluteGradients(self._own_means2d)
-        self.shown_means2d = self._absolute.received
         wider = {2: packed_roots}  # of the roots
         *received, packed_roots = Exchange.apply(route, self._absolute, len(carried), wider, *rows)
         for part in parts:
             part.features = []  # they were sent, and nothing reads them here again
         shape = (cameras, route.seen)
         means2d, depths, roots, opacities = received[:4]
-        self.thermal_opacities = None if self._own_thermal is None else received[4].reshape(shape)
-        self.features = received[len(differentiable) : -len(carried)]
         extents = received[-1].reshape(*shape, 2)
-        self.means2d, self.depths = means2d.reshape(*shape, 2), depths.reshape(shape)
-        self.opacities = opacities.reshape(shape)
-        self.projected = ProjectedTensors(
-            means2d=self.means2d,
-            depths=self.depths,
+        projected = ProjectedTensors(
+            means2d=means2d.reshape(*shape, 2),
+            depths=depths.reshape(shape),
             roots=roots.reshape(*shape, 3),
             compensations=None,  # the opacities have them
             visible=extents[..., 0] > 0,  # what arrived; the rest of the room is zeros
             extents=extents,
             packed_roots=packed_roots.reshape(*shape, 4),
         )
-        self._arrays = self.projected.arrays()
+        super().__init__(
+            projected,
+            projected.arrays(),
+            opacities.reshape(shape),
+            None if self._own_thermal is None else received[4].reshape(shape),
+            received[len(differentiable) : -len(carried)],
+            settings,
+            (cameras,),
+            first.tile_size,
+            threading.Lock(),
+            deterministic=first.deterministic,
+            num_nonfinite=lambda: max(part.num_nonfinite() for part in parts),
+        )
+        self.shown_means2d = self._absolute.received
 
     def blend(
         self,
@@ -205,25 +209,23 @@ class ExchangedScene(ProjectedScene):
         depths, conics, opacities, with ``n_cameras`` C_world and ``sizes`` [(width, height)] of every camera. Of what
         this rank blended, its own C cameras: the sorted pairs and their tiles; nothing where C is 0.
         """
-        visible, roots, parts = self._own_visible, self._own_roots, self._parts
-        own: dict[str, Any] = {
-            "visible": visible,
-            "opacities": self._own_opacities,
-            "n_cameras": len(self._sizes),
-            "sizes": list(self._sizes),
+        visible, thermal = self._own_visible, self._own_thermal
+        own: dict[str, Callable[[], Any]] = {
+            "visible": lambda: visible,
+            "opacities": partial(_given, self._own_opacities),
+            "n_cameras": partial(_given, len(self._sizes)),
+            "sizes": partial(_given, list(self._sizes)),
+            "means2d": partial(clear_unseen, self._own_means2d, visible),
+            "depths": partial(clear_unseen, self._own_depths, visible),
+            "radii": partial(radii_of, self._own_extents, visible),
+            "conics": partial(conics, self._own_roots, visible),
+            "num_nonfinite": self.num_nonfinite,
         }
-        if self._own_thermal is not None:
-            own["thermal_opacities"] = self._own_thermal
-        if self.settings.num_cameras > 0:
-            info = super().info()
-            info.update(own)
-        else:
-            info = RasterizationInfo(self._no_pairs() | own, {})
-        for key, compute in entries_of_seen(self._own_means2d, self._own_depths, self._own_extents, visible).items():
-            info.compute_later(key, compute)
-        info.compute_later("conics", lambda: conics(roots, visible))
-        info.compute_later("num_nonfinite", lambda: max(part.num_nonfinite() for part in parts))
-        return info
+        if thermal is not None:
+            own["thermal_opacities"] = lambda: thermal
+        blended = super().info().entries if self.settings.num_cameras > 0 else None
+        pairs = {} if blended is not None else {key: partial(_given, one) for key, one in self._no_pairs().items()}
+        return RasterizationInfo(EntriesOfRank(pairs | own, blended))
 
     def _no_pairs(self) -> dict[str, Any]:
         settings = self.settings
@@ -244,6 +246,32 @@ class ExchangedScene(ProjectedScene):
             "tile_size": self.tile_size,
             "n_batches": 1,
         }
+
+
+@dataclass(frozen=True)
+class EntriesOfRank:
+    """The entries of a distributed call."""
+
+    own: Mapping[str, Callable[[], Any]]
+    """By key, what makes the entries of this rank's Gaussians."""
+    blended: Entries | None
+    """Of what this rank blended; None: nothing."""
+    are_of_ranks: ClassVar[bool] = True
+
+    @property
+    def keys(self) -> Iterable[str]:
+        """Of the entries."""
+        return self.own.keys() | (self.blended.keys if self.blended is not None else ())
+
+    def made(self, key: str) -> Any:
+        """The value of one of the keys."""
+        if self.blended is None or key in self.own:
+            return self.own[key]()
+        return self.blended.made(key)
+
+
+def _given(value: Any) -> Any:
+    return value
 
 
 def _rows(tensor: Tensor, count: int) -> Tensor:

@@ -28,7 +28,7 @@ def not_compiled(function: Function) -> Function:
     def called(*arguments: Any, **options: Any) -> Any:
         if "torch._dynamo" not in sys.modules:
             return function(*arguments, **options)
-        return _disabled(function)(*arguments, **options)
+        return disabled(function)(*arguments, **options)
 
     return called  # type: ignore[return-value]
 
@@ -47,11 +47,16 @@ def refuse_transforms() -> None:
         )
 
 
-def _disabled(function: Callable[..., Any]) -> Callable[..., Any]:
-    if function not in _made:
-        _made[function] = torch.compiler.disable(function)
-    return _made[function]
+def disabled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``torch.compiler.disable`` for a function, made once. The compiler is imported.
+
+    Args:
+        function: Any.
+    """
+    if function not in DISABLED:
+        DISABLED[function] = torch.compiler.disable(function)
+    return DISABLED[function]
 
 
-_made: dict[Callable[..., Any], Callable[..., Any]] = {}
+DISABLED: dict[Callable[..., Any], Callable[..., Any]] = {}
 """Disabled functions by the functions they are of."""

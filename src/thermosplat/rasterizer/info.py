@@ -1,8 +1,8 @@
-"""gsplat's dictionary of intermediate results, of which costly ones are computed when they are read."""
+"""gsplat's dictionary of intermediate results, whose entries are made when they are read."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -10,31 +10,46 @@ from torch import Tensor
 from warp_kernels.constants import RADIUS_MAX
 
 
+class Entries(Protocol):
+    """What makes the entries of a dictionary."""
+
+    @property
+    def are_of_ranks(self) -> bool:
+        """Whether Gaussians are those of this rank alone, pairs and tiles those that it received of all ranks."""
+
+    @property
+    def keys(self) -> Iterable[str]:
+        """Of the entries."""
+
+    def made(self, key: str) -> Any:
+        """The value of one of the keys."""
+
+
 class RasterizationInfo(dict[str, Any]):
     """The third result of ``rasterization``: gsplat's keys and some of our own.
 
     Args:
-        values: what is at hand.
-        computed: what is computed when it is first read, by key.
+        entries: makes them when they are first read.
     """
 
-    def __init__(self, values: dict[str, Any], computed: dict[str, Callable[[], Any]]) -> None:
-        super().__init__(values, **dict.fromkeys(computed))
-        self.computed = computed
-        """By key, what is computed when it is first read."""
+    def __init__(self, entries: Entries) -> None:
+        keys = entries.keys
+        super().__init__(dict.fromkeys(keys))
+        self.entries = entries
+        self._unread = set(keys)
 
     def __getitem__(self, key: str) -> Any:
-        if key in self.computed:
-            self[key] = self.computed[key]()  # which forgets the computation; one that fails can be tried again
+        if key in self._unread:
+            self[key] = self.entries.made(key)  # which forgets that it was unread; one that fails can be tried again
         return super().__getitem__(key)
 
     def __setitem__(self, key: str, value: Any) -> None:
-        self.computed.pop(key, None)
+        self._unread.discard(key)
         super().__setitem__(key, value)
 
     def __delitem__(self, key: str) -> None:
         super().__delitem__(key)
-        self.computed.pop(key, None)
+        self._unread.discard(key)
 
     def __iter__(self) -> Iterator[str]:
         # Defined so that dict(info), {**info} and info.copy() read through __getitem__.
@@ -48,25 +63,15 @@ class RasterizationInfo(dict[str, Any]):
 
     def pop(self, key: str, *default: Any) -> Any:
         """As ``dict.pop``."""
-        if key in self.computed:
+        if key in self._unread:
             self[key]
         return super().pop(key, *default)
 
     def setdefault(self, key: str, default: Any = None) -> Any:
         """As ``dict.setdefault``."""
-        if key in self.computed:
+        if key in self._unread:
             return self[key]
         return super().setdefault(key, default)
-
-    def compute_later(self, key: str, compute: Callable[[], Any]) -> None:
-        """Let a key have a value that is computed when it is first read.
-
-        Args:
-            key: The key; a value that it has is forgotten.
-            compute: Computes the value.
-        """
-        self[key] = None
-        self.computed[key] = compute
 
     # dict's own of these go past __getitem__, __setitem__ and __delitem__.
 
@@ -86,31 +91,28 @@ class RasterizationInfo(dict[str, Any]):
 
     def clear(self) -> None:
         """As ``dict.clear``."""
-        self.computed.clear()
+        self._unread.clear()
         super().clear()
 
     def items(self) -> Any:
-        """As ``dict.items``, with every value computed."""
-        self._compute_all()
+        """As ``dict.items``, with every value made."""
+        self._read_all()
         return super().items()
 
     def values(self) -> Any:
-        """As ``dict.values``, with every value computed."""
-        self._compute_all()
+        """As ``dict.values``, with every value made."""
+        self._read_all()
         return super().values()
 
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)  # pickled and copied as a plain dict: what is still to compute is a function
+        return dict, (dict(self),)  # pickled and copied as a plain dict: what makes the entries stays here
 
-    def _compute_all(self) -> None:
-        for key in list(self.computed):
+    def _read_all(self) -> None:
+        for key in list(self._unread):
             self[key]
-
-
-@torch.enable_grad()
-def _recorded_conics(roots: Tensor, visible: Tensor) -> Tensor:
-    """``conics`` with their gradient, also where they are first read under ``no_grad``."""
-    return conics(roots, visible)
 
 
 class InfoTensors(NamedTuple):
@@ -146,50 +148,67 @@ class TiledSize(NamedTuple):
     tiles_y: int
 
 
-def rasterization_info(tensors: InfoTensors, size: TiledSize, count_nonfinite: Callable[[], int]) -> RasterizationInfo:
-    """gsplat's dictionary.
+class SceneEntries(NamedTuple):
+    """The entries of a scene that was blended; holds what they are made of, and not the scene."""
 
-    Args:
-        tensors: What it is made of; held as long as something may have to be computed of it.
-        size: Of the images.
-        count_nonfinite: Counts what ``num_nonfinite`` says, when that is read.
+    tensors: InfoTensors
+    size: TiledSize
+    count_nonfinite: Callable[[], int]
+    """Counts what ``num_nonfinite`` says."""
 
-    Returns:
-        The dictionary, whose costly entries are computed when they are read.
-    """
-    *shape, count = tensors.visible.shape
-    flatten_ids, tile_offsets = tensors.flatten_ids, tensors.tile_offsets
-    depths, tiles_per_gaussian = tensors.depths, tensors.tiles_per_gaussian
-    visible, roots = tensors.visible, tensors.roots
-    tiles_y, tiles_x = size.tiles_y, size.tiles_x
-    values = {
-        "batch_ids": None,
-        "camera_ids": None,
-        "gaussian_ids": None,
-        "visible": visible,
-        "opacities": tensors.opacities,
-        "tile_width": tiles_x,
-        "tile_height": tiles_y,
-        "flatten_ids": flatten_ids,
-        "width": size.width,
-        "height": size.height,
-        "tile_size": size.tile_size,
-        "n_batches": math.prod(shape[:-1]),
-        "n_cameras": shape[-1],
-    }
-    if tensors.thermal_opacities is not None:
-        values["thermal_opacities"] = tensors.thermal_opacities
-    return RasterizationInfo(
-        values,
-        {
-            **entries_of_seen(tensors.means2d, depths, tensors.extents, visible),
-            "conics": lambda: _recorded_conics(roots, visible),
-            "tiles_per_gauss": lambda: tiles_per_gaussian.reshape(*shape, count),
-            "isect_offsets": lambda: tile_offsets[:-1].reshape(*shape, tiles_y, tiles_x),
-            "isect_ids": lambda: isect_ids(flatten_ids, tile_offsets, depths.detach().flatten(), tiles_x * tiles_y),
-            "num_nonfinite": count_nonfinite,
-        },
-    )
+    @property
+    def are_of_ranks(self) -> bool:
+        """See ``Entries``."""
+        return False
+
+    @property
+    def keys(self) -> Iterable[str]:
+        """Of the entries."""
+        return _MAKERS if self.tensors.thermal_opacities is not None else _MAKERS_OF_ONE_OPACITY
+
+    def made(self, key: str) -> Any:
+        """The value of one of the keys."""
+        return _MAKERS[key](self)
+
+
+@torch.enable_grad()
+def _recorded_conics(roots: Tensor, visible: Tensor) -> Tensor:
+    """``conics`` with their gradient, also where they are first read under ``no_grad``."""
+    return conics(roots, visible)
+
+
+def _isect_ids(e: SceneEntries) -> Tensor:
+    t = e.tensors
+    return isect_ids(t.flatten_ids, t.tile_offsets, t.depths.detach().flatten(), e.size.tiles_x * e.size.tiles_y)
+
+
+_MAKERS: dict[str, Callable[[SceneEntries], Any]] = {
+    "batch_ids": lambda e: None,
+    "camera_ids": lambda e: None,
+    "gaussian_ids": lambda e: None,
+    "visible": lambda e: e.tensors.visible,
+    "opacities": lambda e: e.tensors.opacities,
+    "tile_width": lambda e: e.size.tiles_x,
+    "tile_height": lambda e: e.size.tiles_y,
+    "flatten_ids": lambda e: e.tensors.flatten_ids,
+    "width": lambda e: e.size.width,
+    "height": lambda e: e.size.height,
+    "tile_size": lambda e: e.size.tile_size,
+    "n_batches": lambda e: math.prod(e.tensors.visible.shape[:-2]),
+    "n_cameras": lambda e: e.tensors.visible.shape[-2],
+    "radii": lambda e: radii_of(e.tensors.extents, e.tensors.visible),
+    "means2d": lambda e: clear_unseen(e.tensors.means2d, e.tensors.visible),
+    "depths": lambda e: clear_unseen(e.tensors.depths, e.tensors.visible),
+    "conics": lambda e: _recorded_conics(e.tensors.roots, e.tensors.visible),
+    "tiles_per_gauss": lambda e: e.tensors.tiles_per_gaussian.reshape(e.tensors.visible.shape),
+    "isect_offsets": lambda e: e.tensors.tile_offsets[:-1].reshape(
+        *e.tensors.visible.shape[:-1], e.size.tiles_y, e.size.tiles_x
+    ),
+    "isect_ids": _isect_ids,
+    "num_nonfinite": lambda e: e.count_nonfinite(),
+    "thermal_opacities": lambda e: e.tensors.thermal_opacities,
+}
+_MAKERS_OF_ONE_OPACITY = [key for key in _MAKERS if key != "thermal_opacities"]
 
 
 def num_nonfinite(
@@ -219,24 +238,6 @@ def num_nonfinite(
     for tensor in cameras:
         finite.append(tensor.detach().isfinite().reshape(scenes, -1).all(1, keepdim=True).expand(finite[0].shape))
     return int((~torch.stack(finite).all(0)).sum())
-
-
-def entries_of_seen(
-    means2d: Tensor, depths: Tensor, extents: Tensor, visible: Tensor
-) -> dict[str, Callable[[], Tensor]]:
-    """The entries that are 0 where a Gaussian is not seen, each with what computes it when it is read.
-
-    Args:
-        means2d: As in ``InfoTensors``, as are the others.
-        depths: Likewise.
-        extents: Likewise.
-        visible: Likewise.
-    """
-    return {
-        "radii": lambda: radii_of(extents, visible),
-        "means2d": lambda: clear_unseen(means2d, visible),
-        "depths": lambda: clear_unseen(depths, visible),
-    }
 
 
 def radii_of(extents: Tensor, visible: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.arguments import PLAIN_MODELS, check_shape
+from thermosplat.rasterizer.call_inputs import PLAIN, Cameras, Splats
 from thermosplat.rasterizer.shutter_poses import motions
 from warp_kernels.projection.lens_models import LENS_COEFFS, LensModel
 from warp_kernels.projection.lens_step import LensSettings
@@ -78,48 +79,12 @@ class Lenses(NamedTuple):
     """[..., C, 4, 4], from where colours are seen: with a rolling shutter, from half way between its two poses."""
 
 
-class LensArguments(NamedTuple):
-    """gsplat's arguments that describe lenses and shutters; their meaning is that of ``rasterization``'s."""
-
-    with_ut: bool = False
-    radial_coeffs: Tensor | None = None
-    tangential_coeffs: Tensor | None = None
-    thin_prism_coeffs: Tensor | None = None
-    ftheta_coeffs: Any | None = None
-    rolling_shutter: Any | None = None
-    viewmats_rs: Tensor | None = None
-
-    def is_asked_for(self, camera_model: str) -> bool:
-        """Whether pixels' rays are others than those of a plain pinhole or orthographic camera."""
-        coefficients = self[1:5]
-        return (
-            camera_model not in ("pinhole", "ortho")
-            or self.viewmats_rs is not None
-            or any(one is not None for one in coefficients)
-        )
-
-
-PLAIN = LensArguments()
-"""Those of a camera without a lens, whose image is read out all at once."""
-
-
-def checked_lenses(
-    arguments: LensArguments,
-    camera_model: str,
-    means: Tensor,
-    covars: Tensor | None,
-    viewmats: Tensor,
-    width: int,
-    height: int,
-) -> Lenses | None:
+def checked_lenses(splats: Splats, cameras: Cameras, width: int, height: int) -> Lenses | None:
     """Checks the arguments that describe lenses and shutters.
 
     Args:
-        arguments: What was given.
-        camera_model: One of ``CameraModel``, checked.
-        means: [..., N, 3], checked.
-        covars: Must be None where something is to be returned.
-        viewmats: [..., C, 4, 4], checked.
+        splats: Checked; covariances must be None where something is to be returned.
+        cameras: Checked but for what is checked here.
         width: Of the image [px], checked.
         height: Of the image [px], checked.
 
@@ -129,10 +94,11 @@ def checked_lenses(
     Raises:
         UserError: naming the argument, what was expected and what was found.
     """
-    if camera_model in PLAIN_MODELS and arguments == PLAIN:
+    means, viewmats, camera_model = splats.means, cameras.viewmats, cameras.camera_model
+    if camera_model in PLAIN_MODELS and cameras.lens == PLAIN:
         return None
     lead = tuple(viewmats.shape[:-2])
-    given = arguments._asdict()
+    given = cameras.lens._asdict()
     with_ut, shutter, viewmats_rs = given.pop("with_ut"), given.pop("rolling_shutter"), given.pop("viewmats_rs")
     _check_coefficients(camera_model, given, lead, means)
     shutter = _shutter(shutter)
@@ -152,7 +118,7 @@ def checked_lenses(
         )
     else:
         check_shape("viewmats_rs", viewmats_rs, tuple(viewmats.shape), means, "the shape of viewmats")
-    if covars is not None:
+    if splats.covars is not None:
         raise UserError(
             "covars cannot be projected through a lens or a rolling shutter: points are taken along a Gaussian's axes.",
             "Give quats and scales.",

@@ -1,22 +1,19 @@
 """``info`` as gsplat's packed mode has it: one row for each Gaussian that a camera sees, and of which Gaussian it is.
 
-The rows are picked from the ``info`` of a call that is not packed, when an entry is first read; who reads none pays for
-none. The image's gradient goes by the whole tensors, which hand it on to the rows.
+The rows are picked from the entries of a call that is not packed, when one of them is first read; who reads none pays
+for none. The image's gradient goes by the whole tensors, which hand it on to the rows.
 """
 
-import functools
-import inspect
 import weakref
-from collections.abc import Callable
-from functools import partial
-from typing import Any, TypeVar, cast
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from thermosplat.rasterizer.info import RasterizationInfo
-
-Function = TypeVar("Function", bound=Callable[..., Any])
+from thermosplat.rasterizer.info import Entries
 
 IDS = ("batch_ids", "camera_ids", "gaussian_ids")
 PICKED = ("radii", "means2d", "depths", "conics", "opacities", "tiles_per_gauss")
@@ -26,60 +23,39 @@ PAIRS = "flatten_ids"
 """Flat indices of Gaussians, which become those of rows."""
 
 
-def packed_where_asked(function: Function) -> Function:
-    """Lets a function that always returns whole tensors in ``info`` return packed ones, as its ``packed`` says.
+@dataclass(eq=False)
+class PackedEntries:
+    """One row for each Gaussian that a camera sees, in the order of scenes, cameras and Gaussians."""
 
-    Args:
-        function: ``rasterization``.
-    """
-    names = list(inspect.signature(function).parameters)
-    packed_at, distributed_at = names.index("packed"), names.index("distributed")
+    whole: Entries
+    """The entries of a call that is not packed."""
 
-    @functools.wraps(function)
-    def called(*arguments: Any, **options: Any) -> Any:
-        *images, info = function(*arguments, **options)
-        if arguments[packed_at] if len(arguments) > packed_at else options.get("packed", True):
-            among = arguments[distributed_at] if len(arguments) > distributed_at else options.get("distributed", False)
-            pack(info, distributed=bool(among))
-        return *images, info
+    are_of_ranks: ClassVar[bool] = False  # not asked of these
 
-    return cast("Function", called)
+    @property
+    def keys(self) -> Iterable[str]:
+        """Of the entries."""
+        return self.whole.keys
 
+    @cached_property
+    def _rows(self) -> "PackedRows":
+        return PackedRows(self.whole.made("visible"))
 
-def pack(info: RasterizationInfo, *, distributed: bool) -> None:
-    """Gives one row to each Gaussian that a camera sees, in the order of scenes, cameras and Gaussians.
-
-    Args:
-        info: Of a call that is not packed, changed in place. Nothing is computed before it is read.
-        distributed: Pairs and tiles are those of the Gaussians that this rank received, as in gsplat, and stay.
-    """
-    # What reads the whole tensors holds them and not the dictionary, which would hold itself.
-    whole: dict[str, Callable[[], Tensor]] = {}
-    for key in (*PICKED, PAIRS, "visible"):
-        whole[key] = info.computed.get(key) or partial(_the_same, dict.get(info, key))
-
-    @functools.cache
-    def rows() -> PackedRows:
-        return PackedRows(whole["visible"]())
-
-    def ids(place: int) -> Tensor:
-        return rows().ids[place]
-
-    def picked(key: str) -> Tensor:
-        return rows().shown(whole[key]())
-
-    for place, key in enumerate(IDS):
-        info.computed[key] = partial(ids, place)
-    for key in PICKED:
-        info.computed[key] = partial(picked, key)
-    info.computed[PAIRS] = lambda: rows().numbered(whole[PAIRS]())
-    if distributed:
-        for key in ("tiles_per_gauss", PAIRS):
-            info.computed[key] = whole[key]
+    def made(self, key: str) -> Any:
+        """The value of one of the keys."""
+        if key in IDS:
+            return self._rows.ids[IDS.index(key)]
+        value = self.whole.made(key)
+        if key in ("tiles_per_gauss", PAIRS) and self.whole.are_of_ranks:
+            return value  # pairs and tiles of the Gaussians that this rank received, as in gsplat
+        if key == PAIRS:
+            return self._rows.numbered(value)
+        return self._rows.shown(value) if key in PICKED else value
 
 
-def _the_same(value: Any) -> Any:
-    return value
+def whole_entries(entries: Entries) -> Entries:
+    """The entries of the call that is not packed."""
+    return entries.whole if isinstance(entries, PackedEntries) else entries
 
 
 class PackedRows:

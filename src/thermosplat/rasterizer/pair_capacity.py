@@ -6,7 +6,7 @@ and says on the device what did not fit.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -192,6 +192,5 @@ class PairCapacity:
         self._calls += 1
 
 
-def active_pair_capacity() -> PairCapacity | None:
-    """The one whose step is being rendered; None where every call reads its number back."""
-    return _active.get()
+active_pair_capacity: "Callable[[], PairCapacity | None]" = _active.get
+"""The one whose step is being rendered; None where every call reads its number back."""

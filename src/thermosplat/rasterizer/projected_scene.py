@@ -1,41 +1,34 @@
 """A scene projected once, and the tensors everything blended from it shares. Flat index: image · N + Gaussian."""
 
-import functools
-import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import replace
-from typing import NamedTuple, cast
+from functools import partial
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
-from thermosplat.rasterizer.binning import TileLists, tile_lists
-from thermosplat.rasterizer.blending import Blend, BlendedTensors, BlendInputs
-from thermosplat.rasterizer.distances import distances
-from thermosplat.rasterizer.info import InfoTensors, RasterizationInfo, TiledSize, num_nonfinite, rasterization_info
-from thermosplat.rasterizer.lenses import Lenses
+from thermosplat.errors import UserError
+from thermosplat.rasterizer.blending_autograd import Blend, BlendedTensors, BlendInputs, TileLists
+from thermosplat.rasterizer.info import InfoTensors, RasterizationInfo, SceneEntries, TiledSize
 from thermosplat.rasterizer.pair_capacity import active_pair_capacity
-from thermosplat.rasterizer.projection import Harmonics, Project, ProjectedTensors, ProjectInputs
-from thermosplat.torch_bridge.arrays import kinds_of, view
-from warp_kernels.color.color_step import ColorSettings
-from warp_kernels.projection.projection import ProjectionSettings
-
-
-class BlendedValues(NamedTuple):
-    """Colours or features, which are blended."""
-
-    values: Tensor | tuple[Tensor, Tensor]
-    """[..., (C,) N, X]; with ``sh_degree`` [..., (C,) N, K, 3], or the first coefficient and the others apart."""
-    sh_degree: int | None
-    per_camera: bool
-    clamped: bool = True
-    """Sums of spherical harmonics below 0 become 0."""
-
+from thermosplat.rasterizer.projection_autograd import ProjectedTensors
+from thermosplat.torch_bridge.arrays import kinds_of
+from thermosplat.torch_bridge.streams import joined_capture, on_torch_stream
+from warp_kernels.binning import binning_step
+from warp_kernels.binning.tile_bins import Room
+from warp_kernels.machinery.array_views import ArrayView
+from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
 
 _watcher: "ContextVar[Callable[[ProjectedScene], None] | None]" = ContextVar("watcher of scenes", default=None)
+
+_CAPTURED_WITHOUT_ROOM = (
+    "A CUDA graph cannot capture a rasterization that reads its number of (Gaussian, tile) pairs back.",
+    "Give it room for them beforehand with thermosplat.PairCapacity, whose documentation has an example.",
+)
+_blend_unrecorded = partial(Blend.forward, None)
 
 
 @contextmanager
@@ -52,125 +45,60 @@ def scenes_told_to(watcher: "Callable[[ProjectedScene], None]") -> Iterator[None
         _watcher.reset(outer)
 
 
+def none() -> int:
+    """No Gaussians, where nobody counts them."""
+    return 0
+
+
 class ProjectedScene:
-    """Gaussians projected to the cameras of their scenes; arguments are checked by the caller.
+    """Gaussians projected to the cameras of their scenes; ``scene_of_call`` makes it of a call.
 
     Args:
-        means: [..., N, 3].
-        quats: [..., N, 4], or None with ``covars``.
-        scales: [..., N, 3], or None with ``covars``.
-        covars: [..., N, 3, 3] in place of ``quats`` and ``scales``, or None.
-        opacities: [..., N].
-        thermal_opacities: [..., N], or None where there is one opacity.
-        viewmats: [..., C, 4, 4].
-        Ks: [..., C, 3, 3], px.
+        projected: what ``Project`` returned, or what stands for it.
+        arrays: of the same memory.
+        opacities: [..., C, N] as they are blended, contiguous.
+        thermal_opacities: likewise; None where there is one opacity.
+        features: final values of what is to be blended, each flat [images · N, X].
         settings: image size, counts, planes and mode.
+        images_shape: [..., C].
         tile_size: edge of a tile [px].
-        drawn: what is to be blended, of which ``features`` holds the final values, each flat [images · N, X].
+        turns: held by whoever differentiates the scene; see ``once_in_turns``.
         deterministic: sum gradients in the same order every time, on CUDA at a cost (on the CPU that is always so).
-        global_z_order: sort by the camera's z axis; else by the distance from its centre, which ``depths`` then are.
-        lenses: what cameras see through, and how they are read out; None: nothing, and all at once.
+        num_nonfinite: counts the Gaussians that something not finite makes invisible; see ``info.num_nonfinite``.
+        lists: of Gaussians in tiles; None: they are made when something is blended.
     """
 
     def __init__(
         self,
-        means: Tensor,
-        quats: Tensor | None,
-        scales: Tensor | None,
-        covars: Tensor | None,
+        projected: ProjectedTensors,
+        arrays: ProjectedArrays,
         opacities: Tensor,
         thermal_opacities: Tensor | None,
-        viewmats: Tensor,
-        Ks: Tensor,
+        features: list[Tensor],
         settings: ProjectionSettings,
+        images_shape: tuple[int, ...],
         tile_size: int,
+        turns: threading.Lock,
         *,
-        drawn: Sequence[BlendedValues] = (),
         deterministic: bool = False,
-        global_z_order: bool = True,
-        lenses: Lenses | None = None,
+        num_nonfinite: Callable[[], int] = none,
+        lists: TileLists | None = None,
     ) -> None:
-        self.tile_size = tile_size
-        self.deterministic = deterministic
-        self._turns = threading.Lock()
-        self.settings = settings
-        self.images_shape = (*means.shape[:-2], settings.num_cameras)
-        means = means.contiguous()
-        upper = None
-        if covars is not None or quats is None or scales is None:
-            quats = scales = None
-            if covars is not None:
-                upper = torch.cat([covars[..., 0, :], covars[..., 1, 1:], covars[..., 2, 2:]], -1)
-        else:
-            quats, scales = quats.contiguous(), scales.contiguous()
-        shapes = ((means, 3), (quats, 4), (scales, 3), (upper, 6))
-        # and what is drawn as it is; detached when they are counted
-        self._inputs = [(tensor, width) for tensor, width in shapes if tensor is not None]
-        self._cameras = [viewmats, Ks]
-        if lenses is not None:
-            self._cameras += [tensor for tensor in lenses[1:] if tensor is not None]
-            viewmats = lenses.viewmats
-        harmonics = [_harmonics(one, settings) for one in drawn]
-        self._harmonics = [one for one in harmonics if one is not None]
-        opacities = opacities.contiguous()
-        bound = second = view(opacities, kinds_of(means.dtype).scalar)
-        if thermal_opacities is not None:
-            thermal_opacities = thermal_opacities.contiguous()
-            second = view(thermal_opacities, bound.dtype, *bound.shape)
-        means2d, depths, roots, compensations, *evaluated, others, self._arrays = Project.apply(
-            means,
-            quats,
-            scales,
-            upper,
-            viewmats.contiguous(),
-            Ks.contiguous(),
-            None if lenses is None else lenses.coefficients.contiguous(),
-            None if lenses is None or lenses.motions is None else lenses.motions.contiguous(),
-            ProjectInputs(
-                bound,
-                second,
-                settings,
-                tuple([one.settings for one in self._harmonics]),
-                self.images_shape,
-                self._turns,
-                torch.is_grad_enabled(),
-                None if lenses is None else lenses.settings,
-            ),
-            *[coefficients for one in self._harmonics for coefficients in one[:2]],
-        )
-        self.projected = ProjectedTensors(means2d, depths, roots, compensations, *others)
-        self.features = [
-            self._per_image(one) if sh is None else evaluated.pop(0) for one, sh in zip(drawn, harmonics, strict=True)
-        ]
+        self.projected, self._arrays = projected, arrays
         # The tensors users see lie on the path of the gradient, so that retain_grad() on them works.
-        self.means2d, self.depths = self.projected.means2d, self.projected.depths
+        self.means2d, self.depths = projected.means2d, projected.depths
         self.shown_means2d = self.means2d
-        if not global_z_order:
-            self.depths = distances(means, viewmats, self.projected.visible)
-            self._arrays = replace(self._arrays, depths=view(self.depths, kinds_of(means.dtype).scalar))
-        self.opacities = self._per_image_opacities(opacities)
-        self.thermal_opacities = None if thermal_opacities is None else self._per_image_opacities(thermal_opacities)
-        self._lists: TileLists | None = None
+        self.opacities, self.thermal_opacities, self.features = opacities, thermal_opacities, features
+        scalar, rows, device = kinds_of(opacities.dtype).scalar, arrays.means2d.shape, arrays.means2d.device
+        self._bound = self._thermal_bound = ArrayView(opacities.data_ptr(), rows, scalar, device)
+        if thermal_opacities is not None:
+            self._thermal_bound = ArrayView(thermal_opacities.data_ptr(), rows, scalar, device)
+        self.settings, self.images_shape, self.tile_size = settings, images_shape, tile_size
+        self.deterministic, self.num_nonfinite = deterministic, num_nonfinite
+        self._turns, self._lists = turns, lists
         watcher = _watcher.get()
         if watcher is not None:
             watcher(self)
-
-    def _per_image_opacities(self, opacities: Tensor) -> Tensor:
-        self._inputs.append((opacities, 1))
-        per_image = opacities.unsqueeze(-2)
-        if self.settings.num_cameras != 1:
-            per_image = per_image.expand(*self.images_shape, -1)
-        if self.projected.compensations is not None:
-            per_image = per_image * self.projected.compensations
-        return per_image.contiguous()
-
-    def _per_image(self, drawn: BlendedValues) -> Tensor:
-        """Final values repeated for each camera where they are shared."""
-        values = cast("Tensor", drawn.values)  # only coefficients come in pairs
-        self._inputs.append((values, values.shape[-1]))
-        if not drawn.per_camera and self.settings.num_cameras != 1:
-            values = values.unsqueeze(-3).expand(*self.images_shape, *values.shape[-2:])
-        return _flat(values)
 
     def blend(
         self,
@@ -185,24 +113,28 @@ class ProjectedScene:
 
         ``rest``: flat features to blend beside the others, to an image of their own.
         """
-        opacities = self.opacities
+        opacities, bound = self.opacities, self._bound
         if thermal_opacity and self.thermal_opacities is not None:
-            opacities = self.thermal_opacities
+            opacities, bound = self.thermal_opacities, self._thermal_bound
         second = self.thermal_opacities if thermal_channels > 0 else None
         inputs = BlendInputs(
             self._arrays,
             self.projected.extents,
             self.projected.packed_roots,
-            self._bin(features, rest),
+            bound,
+            bound if second is None else self._thermal_bound,
+            self.binned(features, rest),
             self.settings,
             self.images_shape,
             thermal_channels,
             self.shown_means2d if absgrad else None,
             self._turns,
-            torch.is_grad_enabled(),
         )
-        tensors = (self.means2d, self.projected.roots, opacities, second, features, rest)
-        return BlendedTensors(*Blend.apply(*tensors, inputs))
+        recorded = torch.is_grad_enabled() or forward_ad._current_level >= 0
+        blended = (Blend.apply if recorded else _blend_unrecorded)(
+            self.means2d, self.projected.roots, opacities, second, features, rest, inputs
+        )
+        return BlendedTensors(*blended)
 
     def blend_in_chunks(
         self, features: Tensor, chunk: int, absgrad: bool, *, thermal_opacity: bool = False
@@ -213,29 +145,27 @@ class ProjectedScene:
         """
         if features.shape[-1] <= chunk:
             return self.blend(features, absgrad, thermal_opacity=thermal_opacity)
-        self._bin(features)  # all of them are checked for being finite, not only the first chunk
+        self.binned(features)  # all of them are checked for being finite, not only the first chunk
         parts = [
             self.blend(part.contiguous(), absgrad, thermal_opacity=thermal_opacity)
             for part in features.split(chunk, dim=-1)
         ]
         return parts[0]._replace(render=torch.cat([part.render for part in parts], -1))
 
-    def binned(self, features: Tensor) -> TileLists:
-        """The lists of Gaussians in tiles, for a blending of one's own; made once.
+    def binned(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
+        """The lists of Gaussians in tiles, made once.
 
         Args:
-            features: [images · N, X]; Gaussians of which they are not finite are left out.
+            features: [images · N, X]; Gaussians of which they are not finite are left out. Those of the first call
+                count.
+            rest: As ``features``, further ones.
         """
-        return self._bin(features)
-
-    def _bin(self, features: Tensor, rest: Tensor | None = None) -> TileLists:
-        """The lists of Gaussians, made once; the features of the first call are checked for being finite."""
         if self._lists is None:
             capacity = active_pair_capacity()
             self._lists = tile_lists(
                 self._arrays,
-                self.opacities,
-                self.opacities if self.thermal_opacities is None else self.thermal_opacities,
+                self._bound,
+                self._thermal_bound,
                 features,
                 self.settings,
                 self.tile_size,
@@ -246,22 +176,10 @@ class ProjectedScene:
             )
         return self._lists
 
-    def num_nonfinite(self) -> int:
-        """Gaussians that something not finite makes invisible; see ``info.num_nonfinite``."""
-        scenes = math.prod(self.images_shape[:-1])
-        inputs = [*self._inputs, *_used(self._harmonics)]
-        return num_nonfinite(inputs, self._cameras, scenes, self.settings.num_gaussians)
-
     def info(self) -> RasterizationInfo:
         """gsplat's ``meta`` dictionary, once something has been blended."""
-        scenes, num_gaussians = math.prod(self.images_shape[:-1]), self.settings.num_gaussians
-        inputs, harmonics, cameras = self._inputs, self._harmonics, self._cameras
-        # What is computed later holds the tensors that it reads and not this scene.
-        return rasterization_info(
-            self.shown(),
-            self.size,
-            lambda: num_nonfinite([*inputs, *_used(harmonics)], cameras, scenes, num_gaussians),
-        )
+        # What is made later holds the tensors that it reads and not this scene.
+        return RasterizationInfo(SceneEntries(self.shown(), self.size, self.num_nonfinite))
 
     @property
     def size(self) -> TiledSize:
@@ -291,32 +209,59 @@ class ProjectedScene:
         return self._lists
 
 
-_color_settings = functools.lru_cache(maxsize=256)(ColorSettings)
+def tile_lists(
+    projected: ProjectedArrays,
+    opacities: ArrayView,
+    thermal_opacities: ArrayView,
+    features: Tensor,
+    settings: ProjectionSettings,
+    tile_size: int,
+    rest: Tensor | None = None,
+    room: Room | None = None,
+    *,
+    deterministic: bool = False,
+    note: Callable[[Tensor], None] | None = None,
+) -> TileLists:
+    """Lists the Gaussians of each tile.
 
+    Args:
+        projected: what ``Project`` returned; Gaussians with non-finite features become invisible, in place.
+        opacities: [images · N], compensation included.
+        thermal_opacities: [images · N]; the same array where there is one opacity.
+        features: [images · N, D].
+        settings: image size.
+        tile_size: edge of a tile [px].
+        rest: [images · N, D'], channels that lie apart from those; None: there are no others.
+        room: of the lists; None: the number of pairs is read back from the device.
+        deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
+        note: told how many pairs there are (``PairCapacity.note``) before they are listed.
 
-def _harmonics(drawn: BlendedValues, settings: ProjectionSettings) -> Harmonics | None:
-    """Coefficients as ``Project`` takes them; None of final values."""
-    if drawn.sh_degree is None:
-        return None
-    sh0, shN = drawn.values if isinstance(drawn.values, tuple) else (drawn.values, None)
-    shN = None if shN is None or shN.shape[-2] == 0 else shN.contiguous()
-    counts = (settings.num_gaussians, settings.num_cameras)
-    how = _color_settings(drawn.sh_degree, *counts, drawn.per_camera, clamped=drawn.clamped)
-    return Harmonics(sh0.contiguous(), shN, how)
+    Returns:
+        The lists.
 
-
-def _used(harmonics: Sequence[Harmonics]) -> Iterator[tuple[Tensor, int]]:
-    """The coefficients of active degrees, each tensor with its number of values per Gaussian."""
-    for sh0, shN, settings in harmonics:
-        active = (settings.degree + 1) ** 2
-        first = min(active, sh0.shape[-2])
-        yield sh0[..., :first, :], 3 * first
-        if shN is not None:
-            yield shN[..., : active - 1, :], 3 * (active - 1)
-
-
-def _flat(values: Tensor) -> Tensor:
-    """Values of all images (or scenes) side by side, [images · N, X]."""
-    if values.dim() != 2:
-        values = values.reshape(-1, values.shape[-1])
-    return values.contiguous()
+    Raises:
+        UserError: if a CUDA graph is captured without a ``room``, or there are too many pairs to number.
+    """
+    scalar, where = opacities.dtype, features.device
+    flat = ArrayView(features.data_ptr(), tuple(features.shape), scalar, opacities.device)
+    others = None if rest is None else ArrayView(rest.data_ptr(), tuple(rest.shape), scalar, opacities.device)
+    drawn = (projected, opacities, thermal_opacities)
+    with on_torch_stream(where) as device:
+        try:
+            with joined_capture(where) as captured:
+                if captured and room is None:
+                    raise UserError(*_CAPTURED_WITHOUT_ROOM)
+                nearest_first = binning_step.sort_gaussians(*drawn, flat, settings, tile_size, rest=others, room=room)
+            if note is not None:  # outside of both: whoever is told may end a capture here, and begin the next
+                totals, ends = nearest_first.totals, nearest_first.pair_ends
+                note(ends.owner[-1:] if totals is None else totals.owner[-1])
+            by_slot = deterministic or not device.is_cuda
+            with joined_capture(where):
+                bins = binning_step.list_pairs(*drawn, nearest_first, by_slot=by_slot, room=room)
+        except binning_step.TooManyPairsError as error:
+            raise UserError(str(error), "Render fewer cameras per call, a smaller image, or smaller scales.") from error
+    tensors: dict[str, Tensor] = {}
+    for name, array in vars(bins).items():
+        if type(array) is ArrayView:
+            tensors[name], array.owner = array.owner, None
+    return TileLists(bins, tensors)

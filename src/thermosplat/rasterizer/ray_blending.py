@@ -9,8 +9,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.arguments import CameraModel, check_shape
-from thermosplat.rasterizer.binning import TileLists
+from thermosplat.rasterizer.arguments import check_shape
+from thermosplat.rasterizer.blending_autograd import TileLists
+from thermosplat.rasterizer.call_inputs import Cameras, Splats
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.rasterizer.rays import pixel_rays, whitening
 from thermosplat.torch_bridge.arrays import kinds_of, vector_of, view
@@ -51,8 +52,8 @@ def check_ray_arguments(with_eval3d: bool, *, needs: dict[str, bool], excludes: 
 
 def blend_along_rays(
     scene: ProjectedScene,
-    gaussians: tuple[Tensor, Tensor | None, Tensor | None],
-    cameras: tuple[Tensor, Tensor, CameraModel],
+    splats: Splats,
+    cameras: Cameras,
     features: Tensor,
     chunk: int,
     *,
@@ -64,8 +65,8 @@ def blend_along_rays(
 
     Args:
         scene: The projection.
-        gaussians: Its means, quaternions and scales.
-        cameras: Its view matrices, intrinsics and model, of which rays are made where none are given.
+        splats: Its Gaussians, with quats and scales.
+        cameras: Its cameras, of which rays are made where none are given.
         features: [images · N, D].
         chunk: So many channels are blended at a time.
         rays: Origin and direction of every pixel, [..., C, H, W, 6]; or None.
@@ -75,15 +76,17 @@ def blend_along_rays(
     Raises:
         UserError: the rays have the wrong shape.
     """
-    (means, quats, scales), settings = gaussians, scene.settings
+    means, settings = splats.means, scene.settings
     lists = scene.binned(features)
     shape = (*scene.images_shape, settings.height, settings.width)
     if rays is None:
-        origins, directions = pixel_rays(*cameras[:2], settings.width, settings.height, cameras[2])
+        origins, directions = pixel_rays(
+            cameras.viewmats, cameras.Ks, settings.width, settings.height, cameras.camera_model
+        )
     else:
         check_shape("rays", rays, (*shape, 6), means, "[..., C, H, W, 6]")
         origins, directions = rays[..., :3].double(), rays[..., 3:]
-    quats, scales = cast("Tensor", quats), cast("Tensor", scales)  # there are no covariances here
+    quats, scales = cast("Tensor", splats.quats), cast("Tensor", splats.scales)  # there are no covariances here
     # A Gaussian without an extent along an axis has no response between planes: it is not drawn.
     visible = scene.projected.visible.any(-2) & (scales != 0).all(-1)
     opacities = torch.where(visible.unsqueeze(-2), scene.opacities, 0.0)

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.arguments import RenderMode, check_choice
-from thermosplat.rasterizer.checked_numbers import as_whole, remembered
+from thermosplat.rasterizer.arguments import RenderMode, check_choice, checked_choice, remembered
+from thermosplat.rasterizer.checked_numbers import as_whole
 from warp_kernels.constants import CHANNELS_MAX
 
 
@@ -41,16 +41,14 @@ def render_options(
     Raises:
         UserError: naming the argument, what is supported, and what was given.
     """
-    degree, extra_degree, chunk = as_whole(sh_degree), as_whole(extra_signals_sh_degree), as_whole(channel_chunk)
     check_choice("render_mode", render_mode)
-    check_choice("sh_degree", degree)
-    check_choice("extra_signals_sh_degree", extra_degree)
+    chunk = as_whole(channel_chunk)
     if type(chunk) is not int or chunk < 1:
         raise UserError(f"channel_chunk must be at least 1, and whole, got {chunk!r}.")
     expected = "E" in render_mode
     return RenderOptions(
-        sh_degree=degree,
-        extra_signals_sh_degree=extra_degree,
+        sh_degree=checked_choice("sh_degree", sh_degree),
+        extra_signals_sh_degree=checked_choice("extra_signals_sh_degree", extra_signals_sh_degree),
         chunk=min(chunk, CHANNELS_MAX),
         colors="RGB" in render_mode,
         depths="D" in render_mode,

@@ -5,12 +5,18 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from thermosplat.rasterizer.arguments import CameraModel, RasterizeMode, check_backgrounds, check_choice
-from thermosplat.rasterizer.checked_numbers import as_whole
-from thermosplat.rasterizer.graph_breaks import not_compiled
-from thermosplat.rasterizer.lenses import LensArguments
-from thermosplat.rasterizer.project import project
+from thermosplat.rasterizer.arguments import check_backgrounds, checked_choice
+from thermosplat.rasterizer.call_inputs import (
+    BlendedValues,
+    CameraModel,
+    Cameras,
+    Drawn,
+    LensArguments,
+    RasterizeMode,
+    Splats,
+)
 from thermosplat.rasterizer.replay.replayed_calls import replayed
+from thermosplat.rasterizer.scene_of_call import scene_of
 from warp_kernels.constants import CHANNELS_MAX
 
 
@@ -31,7 +37,6 @@ class RGBTRender(NamedTuple):
     """As ``rasterization``'s, with ``thermal_opacities`` beside ``opacities``."""
 
 
-@not_compiled
 @replayed
 def rasterization_rgbt(
     means: Tensor,  # [..., N, 3]
@@ -123,38 +128,15 @@ def rasterization_rgbt(
         >>> frame.render_colors.shape, frame.render_thermal_features.shape
         (torch.Size([1, 200, 300, 3]), torch.Size([1, 200, 300, 8]))
     """
-    sh_degree, features_sh_degree = as_whole(sh_degree), as_whole(features_sh_degree)
-    check_choice("sh_degree", sh_degree)
-    check_choice("features_sh_degree", features_sh_degree)
-    scene = project(
-        means,
-        quats,
-        scales,
-        opacities,
-        viewmats,
-        Ks,
-        width,
-        height,
-        drawn={"colors": (colors, sh_degree), "features": (features, features_sh_degree)},
-        thermal_opacities=thermal_opacities,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
-        tile_size=tile_size,
-        rasterize_mode=rasterize_mode,
-        camera_model=camera_model,
-        lens=LensArguments(
-            with_ut,
-            radial_coeffs,
-            tangential_coeffs,
-            thin_prism_coeffs,
-            ftheta_coeffs,
-            rolling_shutter,
-            viewmats_rs,
-        ),
-        deterministic=deterministic,
-        distributed=distributed,
+    sh_degree = checked_choice("sh_degree", sh_degree)
+    features_sh_degree = checked_choice("features_sh_degree", features_sh_degree)
+    coefficients = (radial_coeffs, tangential_coeffs, thin_prism_coeffs, ftheta_coeffs)
+    lens = LensArguments(with_ut, *coefficients, rolling_shutter, viewmats_rs)
+    values = {"colors": BlendedValues(colors, sh_degree), "features": BlendedValues(features, features_sh_degree)}
+    scene = scene_of(
+        Splats(means, quats, scales, opacities, None, thermal_opacities),
+        Cameras(viewmats, Ks, width, height, near_plane, far_plane, camera_model, lens),
+        Drawn(values, radius_clip, eps2d, tile_size, rasterize_mode, deterministic, distributed=distributed),
     )
     channels = (colors[0] if isinstance(colors, tuple) else colors).shape[-1]
     check_backgrounds(backgrounds, channels, means, scene.settings.num_cameras)

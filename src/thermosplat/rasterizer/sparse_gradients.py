@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from thermosplat.errors import UserError
+from thermosplat.rasterizer.call_inputs import Splats
 
 
 def check_sparse_gradients(means: Tensor, *, packed: bool, distributed: bool) -> None:
@@ -52,12 +53,16 @@ class VisibleRows(torch.autograd.Function):
         return found, None
 
 
-def sparse_gradients_of(*tensors: Any, visible: list[Tensor]) -> list[Any]:
-    """The same tensors, whose gradients are sparse.
+def sparse_gradients_of(splats: Splats, *, visible: list[Tensor]) -> Splats:
+    """The same Gaussians, of which the gradients are sparse; what is no dense tensor stays as it is, to be refused.
 
     Args:
-        *tensors: [N, X]; what is no dense tensor stays as it is, to be refused.
+        splats: of means [N, 3], as given.
         visible: Holds a mask [N] of the rows with a gradient by the time that gradients come.
     """
-    dense = [isinstance(one, Tensor) and one.layout is torch.strided for one in tensors]
-    return [VisibleRows.apply(one, visible) if is_dense else one for one, is_dense in zip(tensors, dense, strict=True)]
+    given = splats._asdict()
+    for name in ("means", "quats", "scales", "covars"):
+        one = given[name]
+        if isinstance(one, Tensor) and one.layout is torch.strided:
+            given[name] = VisibleRows.apply(one, visible)
+    return Splats(**given)

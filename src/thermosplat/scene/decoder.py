@@ -10,6 +10,13 @@ from torch import Tensor, nn
 Decode = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """``Decoder.decode``."""
 
+HIDDEN_LAYERS = 2
+"""Layers of the shared encoder, or of a spectrum's own network before the last, each followed by SiLU. Open choice:
+ThermoSplat has "multiple pixel-wise linear layers", MS-Splatting one before a hidden layer and that."""
+HYBRID_BIAS = -4.0
+"""First bias of the layer whose image is added to SH colours, so that the sum starts at these: sigmoid(-4) = 0.018.
+Open choice."""
+
 
 class Decoder(nn.Module):
     """Networks of all spectra. Every layer acts on one pixel's channels, so any leading shape works."""

@@ -13,15 +13,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoder import Decoder
+from thermosplat.scene.decoder import HIDDEN_LAYERS, HYBRID_BIAS, Decoder
 from thermosplat.spectra import Spectrum, first_photograph
-
-HIDDEN_LAYERS = 2
-"""Layers of the shared encoder, or of a spectrum's own network before the last, each followed by SiLU. Open choice:
-ThermoSplat has "multiple pixel-wise linear layers", MS-Splatting one before a hidden layer and that."""
-HYBRID_BIAS = -4.0
-"""First bias of the layer whose image is added to SH colours, so that the sum starts at these: sigmoid(-4) = 0.018.
-Open choice."""
 
 
 class Decoders(Decoder):

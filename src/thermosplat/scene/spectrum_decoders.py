@@ -11,8 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoder import Decoder
-from thermosplat.scene.decoders import HIDDEN_LAYERS, HYBRID_BIAS
+from thermosplat.scene.decoder import HIDDEN_LAYERS, HYBRID_BIAS, Decoder
 from thermosplat.spectra import Spectrum, first_photograph
 
 

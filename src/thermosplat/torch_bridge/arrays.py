@@ -146,22 +146,11 @@ def take_back(*arrays: ArrayView | None) -> None:
             array.grad = None
 
 
-def keep(ctx: Any, arrays: Sequence[ArrayView | None], tensors: Sequence[Tensor | None]) -> None:
-    """Saves tensors for the backward pass, and the arrays of their memory, which do not keep it alive.
-
-    Args:
-        ctx: of an autograd function.
-        arrays: one for each tensor.
-        tensors: None where there is none, or it is not read.
-    """
-    ctx.arrays = arrays
-    ctx.save_for_backward(*tensors)
-
-
 def kept(ctx: Any) -> tuple[Any, ...]:
-    """What ``keep`` saved; the arrays are of that memory again.
+    """The tensors that a function saved; its arrays of their memory, ``ctx.arrays``, are of that memory again.
 
-    What is saved may come back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
+    There is an array, which does not keep the memory alive, or None for each tensor, or None. What is saved may come
+    back elsewhere: from the host, or recomputed (torch.utils.checkpoint).
 
     Args:
         ctx: of an autograd function.

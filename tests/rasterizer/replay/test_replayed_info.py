@@ -8,7 +8,6 @@ import torch
 
 from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
-from thermosplat.rasterizer.packed_info import pack
 
 
 @pytest.mark.parametrize("key", ["depths", "conics", "opacities"])
@@ -30,11 +29,10 @@ def test_losses_on_entries(bench: Bench, key: str) -> None:
 
 def test_packed_rows_of_a_replay(bench: Bench) -> None:
     """Values and retained gradients are those of the plain call's rows."""
-    bench.warmed_up()
+    bench.warmed_up(packed=True)
     found = []
     for render in (bench.calls, bench.plain):
-        image, _, packed = render(**bench.scene(5))
-        pack(packed, distributed=False)
+        image, _, packed = render(**bench.scene(5, packed=True))
         packed["means2d"].retain_grad()
         image.square().sum().backward()
         found.append([packed["gaussian_ids"], packed["radii"], packed["means2d"], packed["means2d"].grad])

@@ -1,48 +1,12 @@
-"""Views are what Warp's own arrays are to a kernel, and recorded launches do what wp.launch does."""
+"""Views are what Warp's own arrays are to a kernel."""
 
 import numpy as np
 import pytest
 import warp as wp
 
-from warp_kernels.machinery.array_views import (
-    ArrayView,
-    RecordedLaunch,
-    contiguous_strides,
-    empty,
-    memory,
-    nothing,
-    zeros,
-)
+from warp_kernels.machinery.array_views import ArrayView, contiguous_strides, empty, memory, nothing, zeros
 
 CPU = "cpu"
-
-
-@wp.kernel(enable_backward=False, module="unique")
-def mixed_kernel(
-    flag: bool,
-    small: int,
-    values: wp.array(dtype=wp.vec3),
-    large: wp.int64,
-    exact: wp.float64,
-    rows: wp.array2d(dtype=wp.float32),
-    single: wp.float32,
-    pair: wp.vec2,
-    # outputs
-    sums: wp.array(dtype=wp.float64),
-):
-    """Arguments of every size that there is, one beside another that is not its own."""
-    i = wp.tid()
-    total = (
-        wp.float64(values[i][2])
-        + wp.float64(rows[i, 1])
-        + exact
-        + wp.float64(single)
-        + wp.float64(large)
-        + wp.float64(pair[1])
-    )
-    if flag:
-        total = total + wp.float64(small)
-    sums[i] = total
 
 
 def views(*arrays: wp.array) -> list[ArrayView]:
@@ -89,27 +53,6 @@ def test_what_32_bits_cannot_say_is_refused(shape: tuple[int, ...], strides: tup
     assert ArrayView(0, (2**31 - 1,), wp.float32, wp.get_device(CPU)).size == 2**31 - 1
 
 
-@pytest.mark.parametrize("as_views", [False, True])
-def test_each_launch_has_its_own_arguments(as_views: bool) -> None:
-    """What was recorded first leaves no trace: other numbers, other arrays, another number of threads."""
-    rng = np.random.default_rng(0)
-    recorded = None
-    for count, flag, small, large, exact, single in ((5, True, -3, 2**40, 0.1, 0.5), (2, False, 9, -7, 1e-9, -2.5)):
-        values, columns = rng.random((count, 3), np.float32), rng.random((count, 4), np.float32)
-        arrays = [
-            wp.array(values, dtype=wp.vec3, device=CPU),
-            wp.array(columns, device=CPU)[:, 1:3],
-            wp.zeros(count, dtype=wp.float64, device=CPU),
-        ]
-        sums = arrays[2]
-        rows, moved, out = views(arrays[0], arrays[1], sums) if as_views else arrays
-        inputs = [flag, small, rows, large, exact, moved, wp.float32(single), wp.vec2(7.0, 2.0), out]
-        recorded = recorded or RecordedLaunch(mixed_kernel, count, inputs, sums.device, 256)
-        recorded.launch(count, inputs)
-        expected = values[:, 2].astype(float) + columns[:, 2] + exact + single + large + 2.0 + (small if flag else 0)
-        np.testing.assert_allclose(sums.numpy(), expected, rtol=1e-14)
-
-
 def test_new_arrays_are_warps_own_unless_a_source_is_set() -> None:
     """Users of Warp alone get wp.array; who sets a source gets what that makes."""
     device = wp.get_device(CPU)
@@ -119,31 +62,6 @@ def test_new_arrays_are_warps_own_unless_a_source_is_set() -> None:
     array[0].fill_(7)
     assert memory.source.last(array[0]) == 7
     assert len(nothing(wp.vec2, 1, device)) == nothing(wp.vec2, 2, device).size == 0
-
-
-@wp.kernel(enable_backward=False, module="unique")
-def count_kernel(
-    values: wp.array(dtype=wp.vec3),
-    rows: wp.array2d(dtype=wp.float32),
-    # outputs
-    found: wp.array(dtype=wp.int32),
-):
-    """Extents of its arguments."""
-    found[0] = values.shape[0]
-    found[1] = rows.shape[0] + rows.shape[1]
-
-
-def test_none_is_an_array_without_elements() -> None:
-    """At any launch, also the one that is recorded, and what was given before leaves no trace."""
-    found = wp.zeros(2, dtype=wp.int32, device=CPU)
-    values, rows = wp.zeros(5, dtype=wp.vec3, device=CPU), wp.zeros((2, 3), dtype=wp.float32, device=CPU)
-    absent: list[tuple[wp.array | None, wp.array | None]] = [(None, rows), (values, None), (None, None), (values, rows)]
-    recorded = RecordedLaunch(count_kernel, 1, [None, None, found], found.device, 256)
-    for given in absent:
-        (out,) = views(found)
-        inputs = [None if one is None else views(one)[0] for one in given]
-        recorded.launch(1, [*inputs, out])
-        assert found.numpy().tolist() == [0 if given[0] is None else 5, 0 if given[1] is None else 5]
 
 
 def test_a_gradient_has_the_array_s_shape() -> None:

@@ -11,7 +11,7 @@ from warp_kernels.binning import binning_step
 from warp_kernels.color import color_step
 from warp_kernels.machinery.lanes import LANES_CUDA, warp_sync
 from warp_kernels.machinery.warp_lists import MANY, WARPS, list_functions, threads_of_many
-from warp_kernels.projection import projection_step
+from warp_kernels.projection import plain_camera_step
 
 CAPACITY = 64
 LIST_OF_WARP, APPEND, ITEM = list_functions(WARPS, CAPACITY)
@@ -70,7 +70,7 @@ def test_kernels_that_look_at_many_do_what_the_others_do(
         return {"image": image.detach(), **{name: value for name, value in found.items() if value is not None}}
 
     expected = gradients()
-    for module, limit in ((binning_step, "COMPACTED"), (color_step, "LISTED"), (projection_step, "LISTED")):
+    for module, limit in ((binning_step, "COMPACTED"), (color_step, "LISTED"), (plain_camera_step, "LISTED")):
         monkeypatch.setattr(module, limit, 0)
     found = gradients()
     assert found.keys() == expected.keys()

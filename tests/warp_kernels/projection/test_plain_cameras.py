@@ -8,9 +8,9 @@ import torch
 import warp as wp
 
 import reference_projection
+from warp_kernels.projection.plain_camera_step import project_gaussians, project_gaussians_adjoint
 from warp_kernels.projection.plain_cameras import NEAR_AXIS
 from warp_kernels.projection.projection import ProjectedArrays
-from warp_kernels.projection.projection_step import project, project_adjoint
 from warp_kernels.rasterization import allocate_projected
 from warp_scene import WarpScene, warp_scene
 
@@ -26,13 +26,13 @@ def seen(points: torch.Tensor) -> tuple[WarpScene, ProjectedArrays]:
     for name in ("means", "viewmats", "Ks", "opacities"):
         getattr(scene.gaussians, name).assign(s[name].numpy())
     projected = allocate_projected(len(points), wp.float64, scene.gaussians.means.device, True)
-    project(scene.gaussians, scene.settings, projected)
+    project_gaussians(scene.gaussians, scene.settings, projected)
     assert projected.visible.numpy().all()
     rng = np.random.default_rng(3)
     for array in (projected.means2d, projected.depths, projected.roots):
         row = rng.normal(size=array.numpy().shape[1:])
         array.grad.assign(np.broadcast_to(row, array.numpy().shape).copy())  # the same for all
-    project_adjoint(scene.gaussians, scene.settings, projected)
+    project_gaussians_adjoint(scene.gaussians, scene.settings, projected)
     return scene, projected
 
 
@@ -97,5 +97,5 @@ def test_where_no_image_is_nothing_is_drawn(point: list[float]) -> None:
     scene.gaussians.means.assign(np.array([point], dtype=np.float32))
     scene.gaussians.viewmats.assign(np.eye(4, dtype=np.float32)[None])
     projected = allocate_projected(1, wp.float32, scene.gaussians.means.device, False)
-    project(scene.gaussians, scene.settings, projected)
+    project_gaussians(scene.gaussians, scene.settings, projected)
     assert not projected.visible.numpy().any()

@@ -14,11 +14,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from thermosplat.rasterizer.info import Entries, RasterizationInfo
+from thermosplat.rasterizer.packed_info import PackedEntries
 from thermosplat.rasterizer.replay.cuda_graphs import Recorder, RoomForOne
 from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, Places
 from thermosplat.rasterizer.replay.nodes import Blended, Lease, Projected
 from thermosplat.rasterizer.replay.recorded_call import EXTRA, GradientMemory, RecordedCall, Subject, images_of
-from thermosplat.rasterizer.replay.replayed_info import WrittenInfo, replayed_info
+from thermosplat.rasterizer.replay.replayed_info import ReplayedEntries, WrittenInfo
 
 COPIED_ALONE = 2**22
 """Bytes of a tensor that is copied by itself. Small ones are copied together, by few blocks of threads."""
@@ -133,7 +135,8 @@ class CapturedCall:
             images = Blended.apply(lease, images, means2d, *edges, *[tensors[i] for i in recorded.behind])
         else:
             free.append(self)
-        info = replayed_info(recorded.layout, written, means2d, subject.with_tensors, tensors, show)
+        entries: Entries = ReplayedEntries(recorded.layout, written, means2d, subject.with_tensors, tensors, show)
+        info = RasterizationInfo(PackedEntries(entries) if recorded.layout.is_packed else entries)
         left = iter(images)
         result = [next(left) if given else None for given in recorded.given]
         for extra in left:

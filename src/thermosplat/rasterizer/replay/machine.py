@@ -1,6 +1,7 @@
 """What replaying asks of a device: how fast it copies, how much memory it has, and who records."""
 
 import functools
+from collections.abc import Callable
 
 import torch
 
@@ -19,9 +20,11 @@ class Machine:
     """What replaying needs of a device; tests have another one.
 
     Attributes:
+        serves: Whether anything may be replayed at all.
         place: Where a call's work is done, or None where nothing may be replayed.
     """
 
+    serves: Callable[[], bool] = staticmethod(torch.cuda.is_initialized)
     place: Place = staticmethod(cuda_place)
 
     def recorder(self, device: torch.device) -> Recorder:

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from thermosplat.rasterizer.blending import blends_launched_by
+from thermosplat.rasterizer.blending_autograd import blends_launched_by
 from thermosplat.rasterizer.info import InfoTensors, clear_unseen
+from thermosplat.rasterizer.packed_info import whole_entries
 from thermosplat.rasterizer.projected_scene import ProjectedScene, scenes_told_to
 from thermosplat.rasterizer.replay.call_signature import Call, with_tensors
 from thermosplat.rasterizer.replay.cuda_graphs import RoomForOne
@@ -134,8 +135,8 @@ class RecordedCall:
             (self._scene,) = scenes
         if self._recorded:
             clear_unseen(self._scene.means2d, self._scene.projected.visible)
-        info = self._result[-1]
-        self._images = [image for image in (*self._result[:-1], dict.get(info, EXTRA)) if image is not None]
+        extra = dict.get(self._result[-1], EXTRA)
+        self._images = [image for image in (*self._result[:-1], extra) if image is not None]
         bases: list[Tensor] = []
         self._views = tuple(_view(image, bases) for image in self._images)
         shown = self._scene.shown()._replace(roots=self._scene.projected.packed_roots)
@@ -226,21 +227,22 @@ class RecordedCall:
         )
 
     def _layout(self) -> InfoLayout:
-        scene, info = self._scene, self._result[-1]
-        keys = [key for key in info if key != EXTRA and not (key == "means2d" and self._recorded)]
-        entries = {
+        scene, entries = self._scene, self._result[-1].entries
+        whole = whole_entries(entries)
+        differentiable = {
             "depths": scene.depths,
             "conics": scene.projected.roots,
             "opacities": scene.opacities,
             "thermal_opacities": scene.thermal_opacities,
         }
         return InfoLayout(
-            {key: info[key] for key in keys if key in CONSTANT},
-            tuple(key for key in keys if key not in CONSTANT),
+            {key: whole.made(key) for key in whole.keys if key in CONSTANT},
+            tuple(whole.keys),
+            entries is not whole,
             scene.size,
             tuple((name, tensor.shape, tensor.dtype) for name, tensor in self._in_block.items()),
             tuple((name, *of) for name, of in self._handed_on.items()),
-            frozenset(key for key, one in entries.items() if one is not None and one.requires_grad),
+            frozenset(key for key, one in differentiable.items() if one is not None and one.requires_grad),
         )
 
     def blend_backward(self) -> list[Tensor | None]:

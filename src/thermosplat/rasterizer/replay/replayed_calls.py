@@ -10,6 +10,7 @@ import functools
 import inspect
 import logging
 import os
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,8 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 
+from thermosplat.rasterizer.graph_breaks import DISABLED, disabled
+from thermosplat.rasterizer.packed_info import whole_entries
 from thermosplat.rasterizer.pair_capacity import SPARE, PairCapacity
 from thermosplat.rasterizer.replay.call_signature import (
     Call,
@@ -141,7 +144,7 @@ class ReplayedCalls:
         self._function = function
         self._machine = Machine() if machine is None else machine
         self._parameters = list(inspect.signature(function).parameters)
-        self._place = self._machine.place
+        self._serves, self._place = self._machine.serves, self._machine.place
         self._counts = [0] * len(Counts._fields)
         self._turn = threading.Lock()
         self.clear()
@@ -161,7 +164,7 @@ class ReplayedCalls:
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """The function's result."""
-        call = call_of(arguments, options, self._place)
+        call = call_of(arguments, options, self._place) if self._serves() else None
         if call is None:
             return self._plain(arguments, options)
         signature = self._signatures.get(call.key)
@@ -319,7 +322,9 @@ def _copied_bytes(call: Call, bound: Sequence[bool], result: Any) -> int:
 def _info_bytes(result: Any) -> int:
     """Bytes that are copied where info is read, or held when the next call comes."""
     info = result[-1]
-    return 45 * _gaussians(info) + 4 * len(info["flatten_ids"])  # a Gaussian's: means2d, extent, depth, root, ...
+    return 45 * _gaussians(info) + 4 * len(
+        whole_entries(info.entries).made("flatten_ids")
+    )  # a Gaussian's: means2d, extent, depth, root, ...
 
 
 def _gaussians(info: Mapping[str, Any]) -> int:
@@ -373,7 +378,7 @@ def counts() -> dict[str, Counts]:
 
 
 def replayed(function: Function) -> Function:
-    """Lets the calls of a function be replayed where they come again.
+    """Lets the calls of a function be replayed where they come again; torch.compile calls it as it is.
 
     Args:
         function: Returns images and, last, an info dictionary.
@@ -382,6 +387,9 @@ def replayed(function: Function) -> Function:
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
-        return calls(*arguments, **options) if _on else function(*arguments, **options)
+        run: Callable[..., Any] = calls if _on else function
+        if "torch._dynamo" in sys.modules:  # who compiles has imported the compiler
+            run = DISABLED.get(run) or disabled(run)
+        return run(*arguments, **options)
 
     return cast("Function", called)

@@ -6,15 +6,16 @@ their gradient is that of a plain call, made when it is asked for.
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.rasterizer.info import InfoTensors, RasterizationInfo, TiledSize, rasterization_info
+from thermosplat.rasterizer.info import InfoTensors, SceneEntries, TiledSize
+from thermosplat.rasterizer.packed_info import whole_entries
 
 Plain = Callable[[Sequence[Tensor]], Any]
 """The same call as it is without graphs, of other tensors."""
@@ -26,7 +27,8 @@ class InfoLayout(NamedTuple):
     constants: Mapping[str, Any]
     """Entries that are no tensors."""
     keys: tuple[str, ...]
-    """The others, without a means2d that is differentiated."""
+    """Of all entries."""
+    is_packed: bool
     size: TiledSize
     tensors: tuple[tuple[str, torch.Size, torch.dtype], ...]
     """What lies in the fixed memory: fields of ``InfoTensors``, with shape and type."""
@@ -94,8 +96,8 @@ def _copied(fixed: Sequence[Tensor]) -> Sequence[Tensor]:
     return parts
 
 
-class EntriesOfInfo:
-    """Reads the entries of one call.
+class ReplayedEntries:
+    """The entries of one call.
 
     Args:
         layout: Of the captured call.
@@ -103,7 +105,10 @@ class EntriesOfInfo:
         means2d: [..., C, N, 2], of a call that is differentiated; else it is among what was written.
         plain: The call without graphs.
         tensors: Of the call.
+        show: Called when means2d is read.
     """
+
+    are_of_ranks = False
 
     def __init__(
         self,
@@ -112,25 +117,34 @@ class EntriesOfInfo:
         means2d: Tensor | None,
         plain: Plain,
         tensors: Sequence[Tensor],
+        show: Callable[[], None],
     ) -> None:
         self._layout, self._written, self._means2d = layout, written, means2d
-        self._plain, self._tensors = plain, tensors
-        self._made: RasterizationInfo | None = None
+        self._plain, self._tensors, self._show = plain, tensors, show
 
-    def __call__(self, key: str) -> Any:
-        """The value of a key."""
-        if self._made is None:
-            self._made = self._make()
-        value = self._made[key]
+    @property
+    def keys(self) -> Iterable[str]:
+        """Of the entries."""
+        return self._layout.keys
+
+    def made(self, key: str) -> Any:
+        """The value of one of the keys."""
+        if key in self._layout.constants:
+            return self._layout.constants[key]
+        if key == "means2d" and self._means2d is not None:
+            self._show()
+            return self._means2d
+        value = self._of_scene.made(key)
         if key == "flatten_ids":  # behind the pairs is room for more
-            return value[: int(self._tile_offsets[-1])]
+            return value[: int(self._of_scene.tensors.tile_offsets[-1])]
         if key not in self._layout.differentiable:
             return value
         node = None if self._means2d is None else self._means2d.grad_fn
         with torch.enable_grad():
             return Recomputed.apply([value], key, self._plain, node, *self._tensors)
 
-    def _make(self) -> RasterizationInfo:
+    @cached_property
+    def _of_scene(self) -> SceneEntries:
         fields: dict[str, Tensor | None] = dict.fromkeys(InfoTensors._fields)
         for part, (name, shape, dtype) in zip(self._written.kept(), self._layout.tensors, strict=True):
             fields[name] = part.view(dtype)[: shape.numel()].view(shape)
@@ -142,42 +156,11 @@ class EntriesOfInfo:
         if roots is not None:
             fields["roots"] = roots[..., :3]
         made = InfoTensors(**fields)  # type: ignore[arg-type]
-        self._tile_offsets = made.tile_offsets
-        return rasterization_info(made, self._layout.size, self._count_nonfinite)
+        return SceneEntries(made, self._layout.size, self._count_nonfinite)
 
     def _count_nonfinite(self) -> int:
         with torch.no_grad():
             return int(self._plain(self._tensors)[-1]["num_nonfinite"])
-
-
-def replayed_info(
-    layout: InfoLayout,
-    written: WrittenInfo,
-    means2d: Tensor | None,
-    plain: Plain,
-    tensors: Sequence[Tensor],
-    show: Callable[[], None],
-) -> RasterizationInfo:
-    """The dictionary.
-
-    Args:
-        layout: As ``EntriesOfInfo``'s, like those that follow.
-        written: By the replay.
-        means2d: Of a call that is differentiated.
-        plain: The call without graphs.
-        tensors: Of the call.
-        show: Called when means2d is read.
-    """
-    read = EntriesOfInfo(layout, written, means2d, plain, tensors)
-    computed: dict[str, Callable[[], Any]] = {key: partial(read, key) for key in layout.keys}
-    if means2d is not None:
-        computed = {"means2d": partial(_shown, means2d, show), **computed}
-    return RasterizationInfo(dict(layout.constants), computed)
-
-
-def _shown(means2d: Tensor, show: Callable[[], None]) -> Tensor:
-    show()
-    return means2d
 
 
 class Recomputed(torch.autograd.Function):
@@ -197,7 +180,7 @@ class Recomputed(torch.autograd.Function):
             tensor.detach().requires_grad_(needed) for tensor, needed in zip(ctx.node.saved_tensors, needs, strict=True)
         ]
         with torch.enable_grad():
-            value = ctx.plain(leaves)[-1][ctx.key]
+            value = whole_entries(ctx.plain(leaves)[-1].entries).made(ctx.key)
         wanted = [leaf for leaf in leaves if leaf.requires_grad]
         found = iter(torch.autograd.grad(value, wanted, gradient, allow_unused=True))
         return None, None, None, None, *[next(found) if needed else None for needed in needs]

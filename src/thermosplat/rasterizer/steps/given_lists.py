@@ -9,12 +9,12 @@ import warp as wp
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.arguments import check_choice, check_shape
-from thermosplat.rasterizer.binning import TileLists
-from thermosplat.rasterizer.checked_numbers import as_whole, checked_sizes
+from thermosplat.rasterizer.arguments import check_shape, checked_choice
+from thermosplat.rasterizer.blending_autograd import TileLists
+from thermosplat.rasterizer.checked_numbers import checked_sizes
 from thermosplat.rasterizer.graph_breaks import refuse_transforms
 from thermosplat.rasterizer.projected_scene import ProjectedScene
-from thermosplat.rasterizer.projection import ProjectedTensors
+from thermosplat.rasterizer.projection_autograd import ProjectedTensors
 from thermosplat.torch_bridge.arrays import view
 from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.constants import ALPHA_MIN, EXTENT_MIN
@@ -58,15 +58,13 @@ class GivenScene(ProjectedScene):
     ) -> None:
         refuse_transforms()
         width, height = checked_sizes(image_width=width, image_height=height)
-        tile_size = as_whole(tile_size)
-        check_choice("tile_size", tile_size)
+        tile_size = checked_choice("tile_size", tile_size)
         if not isinstance(means2d, Tensor) or means2d.dtype not in (torch.float32, torch.float64):
             raise UserError("means2d must be a float32 or float64 tensor [..., N, 2].")
         lead = tuple(means2d.shape[:-1])
         check_shape("means2d", means2d, (*lead, 2), means2d, "[..., N, 2]")
         check_shape("conics", conics, (*lead, 3), means2d, "[..., N, 3]")
         check_shape("opacities", opacities, lead, means2d, "[..., N]")
-        self.images_shape = tuple(isect_offsets.shape[:-2])
         tiles_y, tiles_x = isect_offsets.shape[-2:]
         if tiles_x * tile_size < width or tiles_y * tile_size < height:
             raise UserError(
@@ -76,27 +74,34 @@ class GivenScene(ProjectedScene):
             if masks.shape != isect_offsets.shape:
                 raise UserError(f"masks must have shape {list(isect_offsets.shape)}, got {list(masks.shape)}.")
             isect_offsets, flatten_ids = of_drawn_tiles(isect_offsets, flatten_ids, masks)
-        images, rows = math.prod(self.images_shape), math.prod(lead)
-        self.settings = ProjectionSettings(width, height, max(1, rows // max(images, 1)), 1, images)
-        self.tile_size, self.deterministic = tile_size, False
-        self._turns = threading.Lock()
+        images_shape = tuple(isect_offsets.shape[:-2])
+        images, rows = math.prod(images_shape), math.prod(lead)
         a, b, c = conics.unbind(-1)
         sound = (a > 0) & (a * c > b * b)
         a, b, c = (torch.where(sound, one, other) for one, other in ((a, 1.0), (b, 0.0), (c, 1.0)))
         slope = b / a
         roots = torch.stack([a.sqrt(), slope, (c - b * slope).sqrt()], -1)
-        self.means2d, self.thermal_opacities = means2d.contiguous(), None
-        self.opacities = torch.where(sound, opacities, 0.0).contiguous()
+        means2d, drawn_opacities = means2d.contiguous(), torch.where(sound, opacities, 0.0).contiguous()
         with torch.no_grad():
             remainder = NO_REMAINDER if means2d.dtype == torch.float32 else 0.0
             packed_roots = torch.cat([roots, torch.full_like(roots[..., :1], remainder)], -1).contiguous()
-            extent = (2.0 * (self.opacities / ALPHA_MIN).clamp(min=1.0).log()).sqrt().clamp(min=EXTENT_MIN)
+            extent = (2.0 * (drawn_opacities / ALPHA_MIN).clamp(min=1.0).log()).sqrt().clamp(min=EXTENT_MIN)
             deviations = torch.stack([c, a], -1) / (a * roots[..., 2] ** 2)[..., None]
             extents = (extent[..., None] * deviations.sqrt()).contiguous()
             drawn = torch.ones(*lead, 2, dtype=torch.int32, device=means2d.device)
-        self.projected = ProjectedTensors(self.means2d, opacities, roots, None, drawn, extents, packed_roots)
-        self._arrays = self.projected.arrays()
-        self._lists = _tile_lists(isect_offsets, flatten_ids, rows, tile_size)
+        projected = ProjectedTensors(means2d, opacities, roots, None, drawn, extents, packed_roots)
+        super().__init__(
+            projected,
+            projected.arrays(),
+            drawn_opacities,
+            None,
+            [],
+            ProjectionSettings(width, height, max(1, rows // max(images, 1)), 1, images),
+            images_shape,
+            tile_size,
+            threading.Lock(),
+            lists=_tile_lists(isect_offsets, flatten_ids, rows, tile_size),
+        )
 
 
 def of_drawn_tiles(isect_offsets: Tensor, flatten_ids: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,11 +9,10 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
 from thermosplat.errors import UserError
-from thermosplat.rasterizer.arguments import check_choice
-from thermosplat.rasterizer.checked_numbers import as_whole
+from thermosplat.rasterizer.arguments import checked_choice
+from thermosplat.rasterizer.blended_values import GROUP
 from thermosplat.rasterizer.graph_breaks import not_compiled, refuse_transforms
-from thermosplat.rasterizer.projection import by_degree
-from thermosplat.rasterizer.signals import GROUP
+from thermosplat.rasterizer.projection_autograd import by_degree
 from thermosplat.torch_bridge.arrays import kinds_of, lend, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.color.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
@@ -44,8 +43,7 @@ def spherical_harmonics(degrees_to_use: int, *tensors: Any, **named: Any) -> Ten
     Raises:
         UserError: a shape, type or degree is wrong.
     """
-    degrees_to_use = as_whole(degrees_to_use)
-    check_choice("degrees_to_use", degrees_to_use)
+    degrees_to_use = checked_choice("degrees_to_use", degrees_to_use)
     if degrees_to_use is None:
         raise UserError("degrees_to_use must be one of 0, 1, 2, 3, 4, got None.")
     numbers = [one for one in tensors if isinstance(one, Tensor) and one.is_floating_point()]

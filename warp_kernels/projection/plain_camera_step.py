@@ -1,4 +1,4 @@
-"""The step that projects Gaussians to the image plane: its launches, and its adjoint on a tape."""
+"""The step that projects Gaussians to cameras without lenses: its launches, and its adjoint on a tape."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, 
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
 
 
-def project(
+def project_gaussians(
     gaussians: GaussianArrays, settings: ProjectionSettings, projected: ProjectedArrays, tape: wp.Tape | None = None
 ) -> None:
     """Projects Gaussians to the image plane.
@@ -49,15 +49,15 @@ def project(
         return
     g, p = gaussians, projected
     inputs = [g.means, g.quats, g.scales, g.viewmats, g.Ks, *([g.covars] if g.covars is not None else [])]
-    outputs = [p.means2d, p.depths, p.roots, p.compensations]
-    record_adjoint(tape, lambda: project_adjoint(gaussians, settings, projected), *inputs, *outputs)
+    outputs = [p.means2d, p.depths, p.roots, *([] if p.compensations is None else [p.compensations])]
+    record_adjoint(tape, lambda: project_gaussians_adjoint(gaussians, settings, projected), *inputs, *outputs)
 
 
 def seen_and_stored(settings: ProjectionSettings, projected: ProjectedArrays) -> list[Any]:
     """Arguments that all forward kernels share, in their order: what is drawn, and where that is stored.
 
     Args:
-        settings: as of ``project``.
+        settings: as of ``project_gaussians``.
         projected: likewise.
     """
     return [
@@ -77,7 +77,7 @@ def seen_and_stored(settings: ProjectionSettings, projected: ProjectedArrays) ->
     ]
 
 
-def project_adjoint(
+def project_gaussians_adjoint(
     gaussians: GaussianArrays,
     settings: ProjectionSettings,
     projected: ProjectedArrays,
@@ -85,12 +85,12 @@ def project_adjoint(
     store: bool = False,
     add_to_means: bool = False,
 ) -> None:
-    """The adjoint of ``project``: from the gradients of its outputs, those not given being zero, to its inputs'.
+    """The adjoint of ``project_gaussians``: from its outputs' gradients, those not given being zero, to its inputs'.
 
     Args:
-        gaussians: as in ``project``.
-        settings: as in ``project``.
-        projected: what ``project`` wrote.
+        gaussians: as in ``project_gaussians``.
+        settings: as in ``project_gaussians``.
+        projected: what ``project_gaussians`` wrote.
         store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
         add_to_means: also with ``store``, the means' gradient is added to.
     """
@@ -126,7 +126,7 @@ def project_adjoint(
             projected.means2d.grad,
             projected.depths.grad,
             projected.roots.grad,
-            projected.compensations.grad,
+            None if projected.compensations is None else projected.compensations.grad,
             store,
             store and not add_to_means,
             gradient_of(gaussians.means),

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.rasterizer.signals import grouped, rejoined
+from thermosplat.rasterizer.blended_values import grouped, rejoined
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 8])

@@ -1,25 +1,21 @@
 """Torch autograd over the blending, which has more to keep until its backward pass than the other steps.
 
-As in ``projection``, only what is saved keeps memory alive; the arrays that the adjoint reads are of that
+As in ``projection_autograd``, only what is saved keeps memory alive; the arrays that the adjoint reads are of that
 memory, wherever it is by then.
 """
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from thermosplat.rasterizer.binning import TileLists
 from thermosplat.torch_bridge.arrays import (
     given_view,
-    keep,
     kept,
-    kinds_of,
     lend,
     once_in_turns,
     take_back,
@@ -27,6 +23,7 @@ from thermosplat.torch_bridge.arrays import (
     view,
 )
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
+from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.blending import blending_step
 from warp_kernels.blending.blending_step import BlendLauncher
 from warp_kernels.blending.gradient_records import features_apart, sums_apart
@@ -50,14 +47,43 @@ def blends_launched_by(launcher: BlendLauncher) -> Iterator[None]:
         _launcher.reset(outer)
 
 
-@dataclass
-class BlendInputs:
+_READ = ("gaussian_ids", "tile_offsets")
+_READ_BY_SLOT = (*_READ, "slots", "order", "pair_ends")
+
+
+class TileLists(NamedTuple):
+    """The lists of Gaussians in tiles, and the memory they lie in."""
+
+    bins: TileBins
+    """Arrays that do not keep their memory alive, so that whoever saves the tensors decides how long it lives."""
+    tensors: dict[str, Tensor]
+    """By the name of the array in it."""
+
+    def read_by_adjoint(self, *, counts: bool) -> tuple[list[Any], list[Tensor]]:
+        """Arrays that the blending's adjoint reads, and the tensors they lie in.
+
+        Args:
+            counts: the tiles of each Gaussian are among them.
+        """
+        bins, tensors = self
+        names = _READ if bins.slots is None else _READ_BY_SLOT
+        if counts:
+            names = (*names, "tiles_per_gaussian")
+        if bins.masks.shape[0] > 0:
+            names = (*names, "masks")
+        return [getattr(bins, name) for name in names], [tensors[name] for name in names]
+
+
+class BlendInputs(NamedTuple):
     """What ``Blend`` needs beside the tensors it differentiates."""
 
     projected: ProjectedArrays
     extents: Tensor
     packed_roots: Tensor
     """Whose memory the roots are in: where their numbers are read, while their gradient goes to the tensor of roots."""
+    opacities: ArrayView
+    thermal_opacities: ArrayView
+    """The same array where there is one opacity."""
     lists: TileLists
     settings: ProjectionSettings
     images_shape: tuple[int, ...]
@@ -66,8 +92,6 @@ class BlendInputs:
     """The tensor users see as info["means2d"], whose ``absgrad`` the backward pass adds to; None: not wanted."""
     turns: AbstractContextManager[Any]
     """The scene's lock; see ``once_in_turns``."""
-    recorded: bool
-    """As in ``ProjectInputs``."""
 
 
 class BlendedTensors(NamedTuple):
@@ -130,7 +154,7 @@ class Blend(torch.autograd.Function):
         inputs: BlendInputs,
     ) -> tuple[Tensor | None, ...]:
         dtype, settings, projected, lists = means2d.dtype, inputs.settings, inputs.projected, inputs.lists
-        scalar, count = kinds_of(dtype).scalar, projected.means2d.shape[0]
+        rows, device = inputs.opacities.shape, inputs.opacities.device
         channels, others = features.shape[-1], 0 if rest is None else rest.shape[-1]
         first, arrays_of_first = _make_images(means2d, inputs, channels + others)
         second: ImageTensors | None = None
@@ -138,20 +162,19 @@ class Blend(torch.autograd.Function):
         if inputs.thermal_channels > 0:
             second, arrays_of_second = _make_images(means2d, inputs, inputs.thermal_channels)
             blended = blending_step.BlendedArrays(*arrays_of_first, *arrays_of_second)
-        bound = view(opacities, scalar, count)
         arrays = BlendSaved(
             projected.means2d,
             projected.packed_roots,
-            bound,
-            bound if thermal_opacities is None else view(thermal_opacities, scalar, count),
-            view(features, vector_of(channels, dtype), count),
-            None if rest is None else view(rest, vector_of(others, dtype), count),
+            inputs.opacities,
+            inputs.thermal_opacities,
+            ArrayView(features.data_ptr(), rows, vector_of(channels, dtype), device),
+            None if rest is None else ArrayView(rest.data_ptr(), rows, vector_of(others, dtype), device),
         )
         step = (projected, *arrays[2:5], lists.bins, settings, blended)
         launcher = _launcher.get()
         with launches_on_torch_stream(means2d.device):
             walk = blending_step.blend(*step, rest=arrays.rest, launcher=launcher)
-        if inputs.recorded and True in ctx.needs_input_grad:
+        if ctx is not None and True in ctx.needs_input_grad:
             ctx.set_materialize_grads(False)
             ctx.projected, ctx.read, ctx.bins, ctx.blended, ctx.walk = projected, arrays, lists.bins, blended, walk
             ctx.settings, ctx.shown_means2d, ctx.turns = settings, inputs.shown_means2d, inputs.turns
@@ -159,8 +182,11 @@ class Blend(torch.autograd.Function):
             tensors = (means2d, inputs.packed_roots, opacities, thermal_opacities, features, rest)  # as BlendSaved
             # Of the images only those that are read, so that users may change the renders in place. With the alphas
             # that the caller has, nobody has to keep the transmittances.
-            read = [blended.alphas, blended.ends, walk.cuts, walk.states]
-            memory = [first.alphas, first.ends, walk.cuts.release(), walk.states.release()]
+            read = [blended.alphas, blended.ends]
+            memory: list[Any] = [first.alphas, first.ends]
+            if walk.states is not None:
+                read += [walk.cuts, walk.states]
+                memory += [walk.cuts.release(), walk.states.release()]
             if second is not None:
                 read += [blended.thermal_alphas, blended.thermal_ends]
                 memory += [second.alphas, second.ends]
@@ -168,7 +194,8 @@ class Blend(torch.autograd.Function):
                 read.append(projected.extents)
                 memory.append(inputs.extents)
             of_lists, memory_of_lists = lists.read_by_adjoint(counts=not _sums_apart(ctx))
-            keep(ctx, (*arrays, *read, *of_lists), (*tensors, *memory, *memory_of_lists))
+            ctx.arrays = (*arrays, *read, *of_lists)  # see ``kept``
+            ctx.save_for_backward(*tensors, *memory, *memory_of_lists)
         render, render_rest = first.render, None
         if rest is not None:
             render, render_rest = render[..., :channels], render[..., channels:]
@@ -241,19 +268,14 @@ def _make_images(
     means2d: Tensor, inputs: BlendInputs, channels: int
 ) -> tuple[ImageTensors, tuple[ArrayView, ArrayView, ArrayView, ArrayView]]:
     """The images of an opacity, not initialised, and as arrays."""
-    dtype, settings = means2d.dtype, inputs.settings
-    scalar = kinds_of(dtype).scalar
-    rows = (settings.num_images * settings.height, settings.width)
-    shape = (*inputs.images_shape, settings.height, settings.width)
-    images = ImageTensors(
-        means2d.new_empty(*shape, channels),
-        means2d.new_empty(*shape, 1),
-        means2d.new_empty(*shape, 1, dtype=torch.int32),
-        means2d.new_empty(*shape, 1),
-    )
-    return images, (
-        view(images.render, vector_of(channels, dtype), *rows),
-        view(images.transmittance, scalar, *rows),
-        view(images.ends, wp.int32, *rows),
-        view(images.alphas, scalar, *rows),
+    settings, scalar, device = inputs.settings, inputs.opacities.dtype, inputs.opacities.device
+    width, height = settings.width, settings.height
+    rows, shape = (settings.num_images * height, width), (*inputs.images_shape, height, width)
+    render, transmittance = means2d.new_empty(*shape, channels), means2d.new_empty(*shape, 1)
+    ends, alphas = means2d.new_empty(*shape, 1, dtype=torch.int32), means2d.new_empty(*shape, 1)
+    return ImageTensors(render, transmittance, ends, alphas), (
+        ArrayView(render.data_ptr(), rows, vector_of(channels, means2d.dtype), device),
+        ArrayView(transmittance.data_ptr(), rows, scalar, device),
+        ArrayView(ends.data_ptr(), rows, wp.int32, device),
+        ArrayView(alphas.data_ptr(), rows, scalar, device),
     )

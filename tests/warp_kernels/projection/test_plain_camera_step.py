@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warp_kernels.projection.plain_camera_step import project_gaussians, project_gaussians_adjoint
 from warp_kernels.projection.projection import ProjectedArrays
-from warp_kernels.projection.projection_step import project, project_adjoint
 from warp_kernels.rasterization import allocate_projected
 from warp_scene import WarpScene, warp_scene
 
@@ -15,7 +15,7 @@ def projected_scene(given: tuple[str, ...]) -> tuple[WarpScene, ProjectedArrays]
     scene = warp_scene(wp.float64, n=50, cameras=2, requires_grad=True)
     scene.gaussians.means.assign(scene.scene["means"].numpy() * 2)  # some out of view
     projected = allocate_projected(100, wp.float64, scene.gaussians.means.device, True)
-    project(scene.gaussians, scene.settings, projected)
+    project_gaussians(scene.gaussians, scene.settings, projected)
     rng = np.random.default_rng(3)
     for name in ("means2d", "depths", "roots", "compensations"):
         array = getattr(projected, name)
@@ -38,7 +38,7 @@ def test_stored_gradients_are_the_added_ones(given: tuple[str, ...]) -> None:
         if store:
             for gradient in found:
                 gradient.fill_(np.nan)
-        project_adjoint(g, scene.settings, projected, store=store)
+        project_gaussians_adjoint(g, scene.settings, projected, store=store)
         runs.append([gradient.numpy() for gradient in (*found, g.viewmats.grad, g.Ks.grad)])
     unseen = ~projected.visible.numpy().reshape(2, 50).any(0)
     assert 0 < unseen.sum() < 50

@@ -1,12 +1,11 @@
-"""Torch autograd over the steps of warp_kernels.
+"""Torch autograd over what is done for each Gaussian: the steps that project it, and evaluate its colours.
 
-What is done for each Gaussian, and the blending, are one ``torch.autograd.Function`` each, whose passes look at torch's
+This and the blending (``blending_autograd``) are one ``torch.autograd.Function`` each, whose passes look at torch's
 memory as Warp arrays and run steps or their adjoints. Adjoints store gradients in memory that is not initialised where
-they can. Only what a function saves keeps memory alive until its backward pass, after which torch
-lets go of it. Work runs on torch's current stream. The blending's function is in ``blending``.
+they can. Only what a function saves keeps memory alive until its backward pass, after which torch lets go of it. Work
+runs on torch's current stream. Where nothing is recorded, a forward pass is called without torch's machinery.
 """
 
-import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
@@ -16,7 +15,6 @@ import warp as wp
 from torch import Tensor
 
 from thermosplat.torch_bridge.arrays import (
-    keep,
     kept,
     kinds_of,
     lend,
@@ -35,8 +33,8 @@ from warp_kernels.projection.lens_step import (
     project_through_lenses,
     project_through_lenses_adjoint,
 )
+from warp_kernels.projection.plain_camera_step import project_gaussians, project_gaussians_adjoint
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
-from warp_kernels.projection.projection_step import project, project_adjoint
 
 
 class ProjectedTensors(NamedTuple):
@@ -54,18 +52,16 @@ class ProjectedTensors(NamedTuple):
         """The same memory as flat Warp arrays, which do not keep it alive."""
         means2d, depths, _, compensations, visible, extents, packed_roots = self
         scalar, vec2, vec3, vec4 = kinds_of(means2d.dtype)[:4]
-        count = depths.numel()
-        packed = view(packed_roots, vec4, count)
+        device, shape = warp_device_of(means2d.device), (depths.numel(),)
+        packed = ArrayView(packed_roots.data_ptr(), shape, vec4, device)
         return ProjectedArrays(
-            means2d=view(means2d, vec2, count),
-            depths=view(depths, scalar, count),
-            roots=ArrayView(packed.ptr, packed.shape, vec3, packed.device, strides=packed.strides),
-            compensations=nothing(scalar, 1, packed.device)
-            if compensations is None
-            else view(compensations, scalar, count),
-            visible=view(visible, wp.bool, count),
-            extents=view(extents, vec2, count),
-            packed_roots=packed,
+            ArrayView(means2d.data_ptr(), shape, vec2, device),
+            ArrayView(depths.data_ptr(), shape, scalar, device),
+            ArrayView(packed.ptr, shape, vec3, device, None, packed.strides),
+            None if compensations is None else ArrayView(compensations.data_ptr(), shape, scalar, device),
+            ArrayView(visible.data_ptr(), shape, wp.bool, device),
+            ArrayView(extents.data_ptr(), shape, vec2, device),
+            packed,
         )
 
 
@@ -91,8 +87,6 @@ class ProjectInputs(NamedTuple):
     images_shape: tuple[int, ...]
     turns: AbstractContextManager[Any]
     """The scene's lock; see ``once_in_turns``."""
-    recorded: bool
-    """Whether there may be a backward pass: torch's mode, which is another one inside a function."""
     lens: LensSettings | None = None
     """Where there are lenses."""
 
@@ -133,7 +127,7 @@ class ProjectGradients(NamedTuple):
 
 
 class Project(torch.autograd.Function):
-    """Projection, and colours in the view directions; see ``projection_step`` and ``color_step``.
+    """Projection, and colours in the view directions; see ``plain_camera_step`` and ``color_step``.
 
     Returns the differentiable fields of ``ProjectedTensors``, the colours [images · N, 3] of each pair of coefficients,
     the other fields in a tuple, and the arrays of all. One function for both, so that the gradient to the means is
@@ -156,37 +150,34 @@ class Project(torch.autograd.Function):
     ) -> tuple[Any, ...]:
         settings = inputs.settings
         shape = (*inputs.images_shape, settings.num_gaussians)
-        packed_roots = means.new_empty(*shape, 4)
-        visible = means.new_empty(-(-math.prod(shape) // 4) * 4, dtype=torch.bool)  # whole words, for replays to copy
+        entries = settings.num_images * settings.num_gaussians
+        packed_roots, depths = means.new_empty(*shape, 4), means.new_empty(*shape)
+        words = means.new_empty(-(-entries // 4) * 4, dtype=torch.bool)  # whole ones, for replays to copy
         projected = ProjectedTensors(
             means.new_empty(*shape, 2),
-            means.new_empty(*shape),
+            depths,
             packed_roots[..., :3],
             means.new_empty(*shape) if settings.antialiased else None,
-            visible[: math.prod(shape)].view(shape),
+            words.as_strided(shape, depths.stride()),
             means.new_empty(*shape, 2),
             packed_roots,
         )
-        p = projected.arrays()
-        g = _gaussians(means, quats, scales, covars, viewmats, Ks, inputs)
-        recorded = inputs.recorded and True in ctx.needs_input_grad
+        p, g = projected.arrays(), _gaussians(means, quats, scales, covars, viewmats, Ks, inputs)
+        recorded = ctx is not None and True in ctx.needs_input_grad
         through_lens, rolling = recorded and lenses is not None, recorded and motions is not None
         slopes = means.new_empty(12, *shape) if through_lens else None
         times = means.new_empty(*shape, dtype=torch.float64) if rolling else None
         leads = means.new_empty(6, *shape) if rolling else None
         lens = None if lenses is None else _lenses(lenses, motions, slopes, times, leads)
-        entries = p.means2d.shape[0]
-        colors = [means.new_empty(entries, 3) for _ in inputs.color_settings]
-        c = []
-        with launches_on_torch_stream(means.device):
+        colors, c = [], []
+        with launches_on_torch_stream(means.device) as device:
             if lens is None or inputs.lens is None:
-                project(g, settings, p)
+                project_gaussians(g, settings, p)
             else:
                 project_through_lenses(g, lens, inputs.lens, settings, p)
-            for sh0, shN, shown, how in zip(
-                coefficients[::2], coefficients[1::2], colors, inputs.color_settings, strict=True
-            ):
-                evaluated = view(shown, g.means.dtype, entries)
+            for sh0, shN, how in zip(coefficients[::2], coefficients[1::2], inputs.color_settings, strict=True):
+                colors.append(means.new_empty(entries, 3))
+                evaluated = ArrayView(colors[-1].data_ptr(), (entries,), g.means.dtype, device)
                 c.append(ColorArrays(g.means, g.viewmats, *by_degree(sh0, shN), p.visible, evaluated))
                 sh_colors(c[-1], how)
         if recorded:
@@ -205,7 +196,8 @@ class Project(torch.autograd.Function):
             tensors = [means, quats, scales, covars, viewmats, Ks, lenses, motions]
             tensors += [packed_roots, projected.compensations, projected.visible, slopes, times, leads]
             tensors += [*coefficients, *colors]
-            keep(ctx, arrays, tensors)
+            ctx.arrays = arrays  # see ``kept``
+            ctx.save_for_backward(*tensors)
         return *projected[:4], *colors, projected[4:], p
 
     @staticmethod
@@ -249,9 +241,10 @@ class Project(torch.autograd.Function):
                 lend(p.means2d, v_means2d)
                 lend(p.depths, v_depths)
                 lend(p.roots, v_roots)
-                lend(p.compensations, v_compensations)
+                if p.compensations is not None:
+                    lend(p.compensations, v_compensations)
                 if lens is None:
-                    project_adjoint(g, settings, p, store=True, add_to_means=added)
+                    project_gaussians_adjoint(g, settings, p, store=True, add_to_means=added)
                 else:
                     _write_to(lens.coefficients, v_lenses)
                     _write_to(lens.motions, v_motions)
@@ -310,17 +303,17 @@ def _gaussians(
     Ks: Tensor,
     inputs: ProjectInputs,
 ) -> GaussianArrays:
-    kinds, count, images = kinds_of(means.dtype), inputs.opacities.shape[0], inputs.settings.num_images
-    flat = view(means, kinds.vec3, count)
+    _, _, vec3, vec4, vec6, mat33, mat44 = kinds_of(means.dtype)
+    rows, images, device = inputs.opacities.shape, (inputs.settings.num_images,), inputs.opacities.device
     return GaussianArrays(
-        means=flat,
-        quats=nothing(kinds.vec4, 1, flat.device) if quats is None else view(quats, kinds.vec4, count),
-        scales=nothing(kinds.vec3, 1, flat.device) if scales is None else view(scales, kinds.vec3, count),
-        covars=None if covars is None else view(covars, kinds.vec6, count),
-        opacities=inputs.opacities,
-        thermal_opacities=inputs.thermal_opacities,
-        viewmats=view(viewmats, kinds.mat44, images),
-        Ks=view(Ks, kinds.mat33, images),
+        ArrayView(means.data_ptr(), rows, vec3, device),
+        nothing(vec4, 1, device) if quats is None else ArrayView(quats.data_ptr(), rows, vec4, device),
+        nothing(vec3, 1, device) if scales is None else ArrayView(scales.data_ptr(), rows, vec3, device),
+        None if covars is None else ArrayView(covars.data_ptr(), rows, vec6, device),
+        inputs.opacities,
+        inputs.thermal_opacities,
+        ArrayView(viewmats.data_ptr(), images, mat44, device),
+        ArrayView(Ks.data_ptr(), images, mat33, device),
     )
 
 
@@ -339,11 +332,11 @@ def _lenses(
 
 def by_degree(sh0: Tensor, shN: Tensor | None) -> tuple[ArrayView, ArrayView]:
     """Coefficients of degree 0 and of the others, where they are one tensor as two views of it."""
-    kind, count = kinds_of(sh0.dtype).vec3, sh0.shape[-2]
-    rows = sh0.numel() // (3 * count)
+    kind, count, device = kinds_of(sh0.dtype).vec3, sh0.shape[-2], warp_device_of(sh0.device)
+    rows, ptr = sh0.numel() // (3 * count), sh0.data_ptr()
     if shN is not None:
-        return view(sh0, kind, rows, 1), view(shN, kind, rows, shN.shape[-2])
+        return ArrayView(ptr, (rows, 1), kind, device), view(shN, kind, rows, shN.shape[-2])
     vector = 3 * sh0.element_size()
-    strides, device = (vector * count, vector), warp_device_of(sh0.device)
-    first = ArrayView(sh0.data_ptr(), (rows, 1), kind, device, strides=strides)
-    return first, ArrayView(sh0.data_ptr() + vector, (rows, count - 1), kind, device, strides=strides)
+    strides = (vector * count, vector)
+    first = ArrayView(ptr, (rows, 1), kind, device, None, strides)
+    return first, ArrayView(ptr + vector, (rows, count - 1), kind, device, None, strides)

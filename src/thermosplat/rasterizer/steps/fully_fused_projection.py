@@ -2,12 +2,12 @@
 
 from torch import Tensor
 
-from thermosplat.rasterizer.arguments import CameraModel
+from thermosplat.rasterizer.call_inputs import CameraModel, Cameras, Drawn, RasterizeMode, Splats
 from thermosplat.rasterizer.graph_breaks import not_compiled
 from thermosplat.rasterizer.info import clear_unseen, radii_of
 from thermosplat.rasterizer.info import conics as conics_of
 from thermosplat.rasterizer.packed_info import PackedRows
-from thermosplat.rasterizer.project import project
+from thermosplat.rasterizer.scene_of_call import scene_of
 from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, sparse_gradients_of
 
 UNBOUNDED = 1e30
@@ -66,29 +66,16 @@ def fully_fused_projection(
     Raises:
         UserError: an argument has the wrong shape, type or device.
     """
+    if opacities is None and isinstance(means, Tensor):
+        opacities = means.new_full(means.shape[:-1], UNBOUNDED)
+    splats = Splats(means, quats, scales, opacities, covars)
     if sparse_grad:
         check_sparse_gradients(means, packed=packed, distributed=False)
         visible: list[Tensor] = []
-        means, covars, quats, scales = sparse_gradients_of(means, covars, quats, scales, visible=visible)
-    if opacities is None and isinstance(means, Tensor):
-        opacities = means.new_full(means.shape[:-1], UNBOUNDED)
-    scene = project(
-        means,
-        quats,
-        scales,
-        opacities,
-        viewmats,
-        Ks,
-        width,
-        height,
-        covars=covars,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
-        rasterize_mode="antialiased" if calc_compensations else "classic",
-        camera_model=camera_model,
-    )
+        splats = sparse_gradients_of(splats, visible=visible)
+    cameras = Cameras(viewmats, Ks, width, height, near_plane, far_plane, camera_model)
+    mode: RasterizeMode = "antialiased" if calc_compensations else "classic"
+    scene = scene_of(splats, cameras, Drawn({}, radius_clip, eps2d, rasterize_mode=mode))
     drawn, compensations = scene.projected.visible, scene.projected.compensations
     if sparse_grad:
         visible.append(drawn.any(0))
