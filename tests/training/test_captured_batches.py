@@ -66,7 +66,7 @@ def test_gaussians_come_and_go_between_captured_batches(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("ranks", "batch"), [(1, 2), (2, 2), (2, 4)])
 def test_exchanges_are_captured(tmp_path: Path, ranks: int, batch: int) -> None:
-    """Those of NCCL, among one rank (which tells itself its gradients) and two, with one frame of each rank and two."""
+    """Those of NCCL among two ranks, with one frame of each rank and two; a rank alone exchanges nothing."""
     if torch.cuda.device_count() < ranks:
         pytest.skip(f"needs {ranks} CUDA devices")
     processes.spawn(_divided, (ranks, batch, str(tmp_path)), nprocs=ranks)

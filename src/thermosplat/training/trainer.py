@@ -256,11 +256,13 @@ class Trainer:
     def _save_and_evaluate(self) -> None:
         """Do with the step done what the configuration says, unless its scene is no result of the run."""
         step, config = self.step, self.config
-        if not self.state.is_preliminary:
-            with self.keeping.saving_meanwhile() if step in config.save_steps else nullcontext():
-                if step in config.eval_steps:
-                    self.results.evaluate_on_the_way()
-                    self._stop_if_wished()
+        if self.state.is_preliminary:
+            return
+        with self.keeping.saving_meanwhile() if step in config.save_steps else nullcontext():
+            if step in config.eval_steps:
+                self.results.evaluate_on_the_way()
+        if step in config.eval_steps:
+            self._stop_if_wished()
 
     def corrected_capture(self) -> Capture:
         """The capture with its cameras as they are believed to be now."""

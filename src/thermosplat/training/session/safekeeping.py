@@ -6,7 +6,7 @@ the memories of all, which make no calls any more: then the newest checkpoint is
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,26 +63,21 @@ class Safekeeping:
         return whole_checkpoint(self._team, self._state, own, training=training and not self._state.trimmed)
 
     def checkpoint_of(self, state: TrainingState) -> Checkpoint:
-        """The checkpoint of a state.
-
-        Args:
-            state: This rank's, or one of all ranks.
-        """
-        training = self._training
+        """The checkpoint of a state, this rank's or one of all ranks."""
+        training, recipe = self._training, self._training.recipe
         degree = sh_degree_at(training.config, state.step)
-        recipe = training.recipe
         found = state.checkpoint(recipe.asked, degree, training.capture.scales, training.capture)
         return replace(found, training=replace(found.training, noisy=recipe.noisy))
 
     @contextmanager
     def saving_meanwhile(self) -> Iterator[None]:
         """Around what leaves the model as it is: begin to write a checkpoint, which is done while training goes on."""
-        with self._gathering:
-            whole = self.gathered(training=True)
-        if whole is None:
-            yield
-            return
-        with going_on_without(self._training.say), self.writer.beginning(self._file(), whole.state()):
+        with ExitStack() as begun:
+            with self._gathering:
+                whole = self.gathered(training=True)
+                if whole is not None:
+                    begun.enter_context(going_on_without(self._training.say))
+                    begun.enter_context(self.writer.beginning(self._file(), whole.state()))
             yield
 
     def save(self) -> Path:

@@ -19,20 +19,11 @@ class Stage:
         """Get ready for a scene that starts, or goes on."""
 
     def before(self, step: int, kind: StepKind) -> StepKind:
-        """What is done in a step to come.
-
-        Args:
-            step: The step, from 1.
-            kind: What the stages before this one, and the configuration, make of it.
-        """
+        """What is done in a step to come, of what the configuration and the stages before this one make of it."""
         return kind
 
     def rates(self, rates: OptimizerConfig) -> OptimizerConfig:
-        """The rates of a step to come.
-
-        Args:
-            rates: Those of the stages before this one.
-        """
+        """The rates of a step to come, of those of the stages before this one."""
         return rates
 
     def acts_at(self, step: int) -> bool:
@@ -40,12 +31,7 @@ class Stage:
         return False
 
     def after(self, step: int, kind: StepKind) -> None:
-        """Do what belongs to the step, in which no interrupt is heard; where ``acts_at`` says so.
-
-        Args:
-            step: The step done.
-            kind: What was done in it.
-        """
+        """Do what belongs to the step done, in which no interrupt is heard; where ``acts_at`` says so."""
 
     def leave(self) -> None:
         """Go on to what follows the step done, where it was a last one. An interrupt leaves the state as it was."""
