@@ -27,8 +27,8 @@ def test_depths_are_drawn_together_late(tmp_path: Path) -> None:
     config = toy_run_config(max_steps=8, log_every=1)
     loss = dataclasses.replace(config.loss, depth_spread=0.1)
     config = dataclasses.replace(config, loss=loss)
-    assert [StepKind.at(config, step, densifying=False).depth_spread for step in (1, 4, 5, 8)] == [0, 0, 1, 1]
-    assert not StepKind.at(toy_run_config(), 12, densifying=False).depth_spread
+    assert [StepKind.at(config, step).depth_spread for step in (1, 4, 5, 8)] == [0, 0, 1, 1]
+    assert not StepKind.at(toy_run_config(), 12).depth_spread
     toy_trainer(tmp_path, config, many_frames(toy_capture())).train()
     lines = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines if "depth_spread" in line] == [5, 6, 7, 8]
