@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from thermosplat.distributed.collectives import check_is_joined
-from thermosplat.rasterizer.arguments import check_choice, checked_settings
+from thermosplat.rasterizer.arguments import PLAIN_MODELS, check_choice, checked_settings
 from thermosplat.rasterizer.blended_values import check_values
 from thermosplat.rasterizer.call_inputs import (
     PLAIN,
@@ -106,7 +106,7 @@ def scene_of(splats: Splats, cameras: Cameras, drawn: Drawn) -> ProjectedScene:
         return _among_ranks(splats, cameras, drawn)
     settings, tile_size = checked_settings(splats, cameras, drawn)
     lenses = None
-    if cameras.lens != PLAIN or cameras.camera_model == "ftheta":
+    if cameras.lens != PLAIN or cameras.camera_model not in PLAIN_MODELS:
         lenses = checked_lenses(splats, cameras, settings.width, settings.height)
     return _projected(splats, cameras, drawn, lenses, settings, tile_size)
 

@@ -187,11 +187,11 @@ def test_large_info_is_seldom_copied(bench: Bench, device: torch.device) -> None
 
 
 @cpu
-@pytest.mark.parametrize("options", [{"sparse_grad": True}, {"with_eval3d": True}])
+@pytest.mark.parametrize("options", [{"sparse_grad": True, "packed": True}, {"with_eval3d": True}])
 def test_arguments_that_are_never_replayed(bench: Bench, device: torch.device, options: dict[str, Any]) -> None:
     """Their calls are plain."""
     for _ in range(SEEN + 3):
-        bench.calls(**bench.scene(0), **options)
+        bench.calls(**(bench.scene(0) | options))
     assert bench.calls.counts == (SEEN + 3, 0, 0, 0, 0)
 
 
