@@ -16,6 +16,7 @@ COMMANDS = {
     "render": "thermosplat.cli.render",
     "view": "thermosplat.cli.view",
     "export": "thermosplat.cli.export",
+    "measure": "thermosplat.cli.measure",
     "benchmark": "thermosplat.cli.benchmark",
 }
 """Module of each command, whose ``main`` takes the other words."""

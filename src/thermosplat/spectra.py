@@ -27,6 +27,8 @@ BUILT_IN_PALETTES = ("grey", "iron")
 """Names of palettes that need no file."""
 MAE = "mae_"
 """Begin of the name of a mean absolute error of measured values; the unit follows: mae_celsius."""
+BIAS = "bias_"
+"""The same of the mean of rendered minus measured values: bias_celsius."""
 COUNTS = "counts"
 """The unit of raw sensor values: none."""
 _SPELLINGS = {

@@ -228,7 +228,7 @@ def test_run_of_three_spectra(run: Run, tmp_path: Path) -> None:
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["spectra"] == ["rgb", "thermal", "nir"]
     assert 0 < metrics["nir"]["mae_reflectance"] < 1
-    assert metrics["nir"].keys() - metrics["rgb"].keys() == {"mae_reflectance"}
+    assert metrics["nir"].keys() - metrics["rgb"].keys() == {"mae_reflectance", "bias_reflectance"}
     for key in metrics.keys() - set(metrics["spectra"]):  # a spectrum of that name would take its place
         assert key in RESERVED | {field.name for field in dataclasses.fields(config)}
     rows = (folder / "stats" / "per_view.csv").read_text().splitlines()

@@ -209,7 +209,8 @@ def test_strips_of_a_real_model(aligned: bool, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
     strip = cv2.imread(str(tmp_path / "a.png"))
     rows = [240 * HEIGHT // WIDTH, 240 * HEIGHT // WIDTH if aligned else 240 * 14 // 16]
-    assert strip.shape[:2] == (sum(rows) + 2 * 20 + 4, 3 * 240 + 2 * 4)
+    assert strip.shape[0] == sum(rows) + 2 * 20 + 4
+    assert strip.shape[1] > 3 * 240 + 2 * 4  # and the colour bar of the temperatures
     frame = toy_frame(capture)
     rendered = model.render(frame.views, sh_degree=1)
     one = dataclasses.replace(capture, test=capture.test[:1])

@@ -22,7 +22,7 @@ def finished(folder: Path) -> RunDirectory:
     metrics = {
         "spectra": ["rgb", "thermal", EVIL],
         "rgb": numbers,
-        "thermal": {**numbers, "mae_celsius": 0.4},
+        "thermal": {**numbers, "mae_celsius": 0.4, "bias_celsius": 0.12},
         EVIL: {"psnr": 1.0},
         "steps": 300,
         "num_gaussians": 12345,
@@ -48,8 +48,12 @@ def test_the_page_has_numbers_plots_strips_and_videos(tmp_path: Path) -> None:
     """Each section is there, with what the files say."""
     page = results_page(finished(tmp_path / "run"))
     assert "300 steps · 12,345 Gaussians · 1 min 23 s" in page
-    assert re.search(r"<td>Thermal</td><td>24.50</td><td>0.8100</td><td>0.400</td>", page, re.IGNORECASE)
+    assert re.search(
+        r"<td>Thermal</td><td>0.400</td><td>\+0.120</td><td>24.50</td><td>0.8100</td>", page, re.IGNORECASE
+    )
     assert "MAE [°C]" in page
+    assert "bias [°C]" in page
+    assert str((tmp_path / "run").resolve()) in page
     assert "LPIPS" not in page  # nobody measured it
     assert page.count("<svg") == 3
     assert page.count("<polyline") == 3

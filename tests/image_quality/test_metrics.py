@@ -2,13 +2,11 @@
 
 import math
 
-import numpy as np
 import pytest
 import torch
 
 from direct_ssim import direct_ssim
-from thermosplat.image_quality.metrics import mean_absolute_error, psnr, ssim
-from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
+from thermosplat.image_quality.metrics import psnr, ssim
 
 
 def test_psnr_of_a_known_error() -> None:
@@ -68,25 +66,6 @@ def test_ssim_of_equal_images() -> None:
     """Equal images score 1."""
     target = torch.rand(16, 16, 1, generator=torch.Generator().manual_seed(2))
     assert ssim(target, target) == pytest.approx(1.0, abs=1e-5)
-
-
-def test_mean_absolute_error(device: torch.device) -> None:
-    """Values by the capture's range; pixels without a measurement do not count."""
-    scale = PixelScale("scalar", FLIR_IRON, (10.0, 30.0), "celsius")
-    celsius = torch.tensor([[12.0, 20.0], [25.0, math.nan]], device=device)
-    intensity = torch.tensor([[0.1, 0.55], [0.65, 0.9]], device=device)  # 12, 21, 23 °C and one that is not measured
-    assert mean_absolute_error(intensity, celsius, scale) == pytest.approx((0 + 1 + 2) / 3, abs=1e-5)
-
-
-def test_mean_absolute_error_without_values() -> None:
-    """No range, no unit or no measured pixel: no number, rather than an invented one."""
-    intensity = torch.full((2, 2), 0.5)
-    assert mean_absolute_error(intensity, intensity, PixelScale("scalar", FLIR_IRON, None, "celsius")) is None
-    assert mean_absolute_error(intensity, intensity, PixelScale("scalar", FLIR_IRON, (0.0, 1.0), None)) is None
-    nothing = torch.full((2, 2), np.nan)
-    scale = PixelScale("scalar", FLIR_IRON, (0.0, 1.0), "celsius")
-    assert mean_absolute_error(intensity, nothing, scale) is None
-    assert mean_absolute_error(intensity, intensity, scale) == 0
 
 
 def test_ssim_and_psnr_against_torchmetrics() -> None:

@@ -59,12 +59,13 @@ def test_what_a_page_says_is_held_within_limits(viewer: Viewer, capfd: pytest.Ca
     assert page.control("Width").value == LARGEST_SIDE
     assert page.control("Height").value == 16
     assert page.control("Images of the path").value == MOST_IMAGES
-    assert page.control("Layer").value == "RGB"
+    assert page.control("Layer").value == "thermal"  # where there are degrees it begins with them
     assert page.control("Palette").value == "capture"
     assert page.visitor.view().fov_y == pytest.approx(np.degrees(0.8))
     assert not page.visitor.client.gui._current_file_upload_states
-    page.set("Layer", "thermal")
-    wait_for(lambda: (shown := page.visitor.session.shown) and shown.wish.first.spectrum == "thermal")
+    page.set("Layer", "RGB")
+    wait_for(lambda: (shown := page.visitor.session.shown) and shown.wish.first.spectrum == "rgb")
+    assert page.control("Beside it").value == "thermal"  # two layers are compared, never one with itself
     said = capfd.readouterr().err
     assert "Traceback" not in said
     assert said.count("\n") < 12
@@ -121,7 +122,8 @@ def test_saved_pictures_are_of_this_view_in_full_size(viewer: Viewer) -> None:
         page.set(button, True)
         page.is_heard()
         wait_for(lambda: not long_work())
-    table, *pictures = sorted(viewer.shared.folder.iterdir())
+    (table,) = viewer.shared.folder.glob("*.csv")
+    pictures = sorted(viewer.shared.folder.glob("*.png"))
     assert table.read_text(encoding="utf-8").count("\n") == 3
     session = page.visitor.session.aside()
     expected = session.marked(session.render(page.visitor.view(), 96, 72))

@@ -125,7 +125,6 @@ def test_the_page_shows_the_rasterizers_image(browser: Any, viewer: Viewer) -> N
 def test_the_cursor_reads_the_temperature_of_the_metrics(browser: Any, viewer: Viewer) -> None:
     """The text beside the cursor is scale.value(pixel_intensity(render)), as in metrics.json's MAE, at that pixel."""
     tab = Tab(browser, viewer)
-    tab.choose("RGB", "thermal")
     wait_for(lambda: tab.visitor.session.wish.first.spectrum == "thermal", tab.page)
     tab.rest()
     scale = tab.visitor.scene.scales["thermal"]
@@ -221,7 +220,6 @@ def test_two_tabs_do_not_disturb_each_other(browser: Any, viewer: Viewer) -> Non
     one, other = Tab(browser, viewer), Tab(browser, viewer)
     before, view = other.screenshot(), other.visitor.view().viewmat
     wish, pictures = other.visitor.session.wish, other.visitor.pictures
-    one.choose("RGB", "thermal")
     wait_for(lambda: one.visitor.session.wish.first.spectrum == "thermal", one.page)
     one.rest()
     one.choose("capture", "viridis")
@@ -268,7 +266,6 @@ def test_a_closed_tab_frees_its_memory(browser: Any, viewer: Viewer) -> None:
 def test_spots_lines_and_files(browser: Any, viewer: Viewer) -> None:
     """The mouse measures a spot, a line and an area; they are listed, saved as CSV and PNG, and deleted."""
     tab = Tab(browser, viewer)
-    tab.choose("RGB", "thermal")
     wait_for(lambda: tab.visitor.session.wish.first.spectrum == "thermal", tab.page)
     tab.rest()
     tab.page.get_by_role("tab", name="Measure").click()
@@ -292,19 +289,19 @@ def test_spots_lines_and_files(browser: Any, viewer: Viewer) -> None:
     tab.page.wait_for_timeout(1000)
     click(400, 250)
     wait_for(lambda: len(session.measurements) == 2, tab.page)
-    use("Area")
+    use("Rectangle")
     tab.page.mouse.move(260, 260)
     tab.page.mouse.down()
     tab.page.mouse.move(350, 330, steps=5)
     tab.page.mouse.up()
     wait_for(lambda: len(session.measurements) == 3, tab.page)
-    assert [made.name for made in session.measurements] == ["S1", "L1", "A1"]
+    assert [made.name for made in session.measurements] == ["S1", "L1", "R1"]
     scale = tab.visitor.scene.scales["thermal"]
     degrees = scale.value(pixel_intensity(tab.rendered("thermal"), scale)).numpy()
     spot, _, area = session.measurements
-    assert spot.mean == degrees[300, 300]
-    assert area.maximum <= degrees[255:336, 255:356].max() + 1e-4
-    assert area.count == pytest.approx(91 * 71, rel=0.05)
+    assert spot.numbers.mean == degrees[300, 300]
+    assert area.numbers.maximum <= degrees[255:336, 255:356].max() + 1e-4
+    assert area.numbers.count == pytest.approx(91 * 71, rel=0.05)
     tab.page.get_by_role("button", name="Save as CSV and PNG").click()
     folder = viewer.shared.folder
     wait_for(lambda: folder.is_dir() and len(list(folder.glob("measurements_*.png"))) == 1, tab.page)
@@ -312,6 +309,14 @@ def test_spots_lines_and_files(browser: Any, viewer: Viewer) -> None:
     assert table.read_text(encoding="utf-8").count("\n") == 4
     tab.page.get_by_role("button", name="Delete the last").click()
     wait_for(lambda: len(session.measurements) == 2, tab.page)
+    tab.page.get_by_role("button", name="Undo").click()
+    wait_for(lambda: len(session.measurements) == 3, tab.page)
+    names = ["S1", "L1", "R1"]
+    again = Viewer(viewed_toy(), folder, port=0)  # a restart
+    try:
+        assert list(again.shared.book.pages.by_name) == names
+    finally:
+        again.stop()
 
 
 def test_the_photograph_lies_over_the_render_while_p_is_held(browser: Any, viewer: Viewer) -> None:
@@ -364,7 +369,7 @@ def test_a_click_on_a_frame_flies_there(browser: Any, viewer: Viewer) -> None:
 def test_the_ends_of_the_range_are_those_of_the_picture(browser: Any, viewer: Viewer) -> None:
     """Of depth, whose range nothing but the picture says, "Lowest" and "Highest" show what the colour bar has."""
     tab = Tab(browser, viewer)
-    tab.choose("RGB", "depth, RGB")
+    tab.choose("thermal", "depth, RGB")
     wait_for(lambda: tab.visitor.session.wish.first.kind == "depth", tab.page)
     tab.rest()
     shown = tab.visitor.session.shown

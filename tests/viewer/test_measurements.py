@@ -10,11 +10,19 @@ import cv2
 import numpy as np
 import pytest
 
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.placement import Placement
+from thermosplat.errors import UserError
 from thermosplat.thermal.radiometry import FLIR_IRON
+from thermosplat.thermal.recalculation import Recalculation
+from thermosplat.thermography.measurements import Alarm
+from thermosplat.thermography.measurements_file import read_book
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
+from thermosplat.thermography.shapes import SHAPES, Shape
 from thermosplat.viewer.layers import Layer, LayerImage
 from thermosplat.viewer.measure_panel import spot_cross
-from thermosplat.viewer.measurements import covered_values, marked_picture, measure, save_measurements, value_at
+from thermosplat.viewer.measurements import Mark, marked_picture, save_measurements, value_at
+from thermosplat.viewer.measuring import Measurer
 from thermosplat.viewer.session import ViewSession, Wish
 from viewed_toy import moved, toy_session, viewed_toy
 
@@ -37,62 +45,12 @@ def test_the_value_under_a_point() -> None:
     assert value_at(layer(np.full((6, 10), np.nan, np.float32)), 0.5, 0.5) is None
 
 
-def test_an_area_covers_its_rectangle() -> None:
-    """Both corners are in, whichever way it was drawn; minimum, maximum, mean and deviation are numpy's."""
-    for corners in ([(0.2, 0.2), (0.45, 0.6)], [(0.45, 0.6), (0.2, 0.2)]):
-        made = measure(layer(), "area", corners, "A1")
-        assert made is not None
-        part = FIELD[1:4, 2:5]
-        assert (made.minimum, made.maximum, made.mean, made.count) == (part.min(), part.max(), part.mean(), 9)
-        assert made.std == pytest.approx(part.std())
-        assert made.text == "23.00 °C (12.00 to 34.00, std 8.21)"
-
-
-def test_a_line_has_its_pixels_in_order() -> None:
-    """From one end to the other, without gaps."""
-    values = covered_values(FIELD, "line", [(0.05, 0.05), (0.95, 0.05)])
-    np.testing.assert_array_equal(values, FIELD[0])
-    steep = covered_values(FIELD, "line", [(0.05, 0.95), (0.25, 0.05)])
-    assert len(steep) == 6
-    assert (steep[0], steep[-1]) == (50.0, 2.0)
-
-
-def test_pixels_without_a_value_do_not_count() -> None:
-    """NaNs are left out, and where there is nothing else there is no measurement."""
-    field = FIELD.copy()
-    field[:, :5] = np.nan
-    made = measure(layer(field), "area", [(0.0, 0.0), (0.99, 0.1)], "A1")
-    assert made is not None
-    assert (made.minimum, made.count) == (5.0, 5)
-    assert measure(layer(field), "spot", [(0.1, 0.1)], "S1") is None
-    assert measure(layer(None), "spot", [(0.1, 0.1)], "S1") is None
-
-
-def test_files_hold_all_digits_and_the_marks(tmp_path: Path) -> None:
-    """The CSV gives back each number; the PNG is larger than the picture by its legend and has the marks."""
-    made = measure(layer(FIELD / np.float32(3)), "area", [(0.2, 0.2), (0.45, 0.6)], "A1")
-    assert made is not None
-    picture = np.zeros((60, 100, 3), np.uint8)
-    marked = marked_picture(picture, [(made, [(0.2, 0.2), (0.5, 0.2), (0.5, 0.6), (0.2, 0.6)])], (FLIR_IRON, 0, 20, ""))
-    table, image = save_measurements(tmp_path / "m", "one", [made], marked)
-    (row,) = csv.DictReader(table.open(encoding="utf-8"))
-    assert (float(row["mean"]), float(row["std"]), int(row["pixels"])) == (made.mean, made.std, 9)
-    assert (row["unit"], row["layer"], row["quantity"]) == ("°C", "thermal", "temperature")
-    written = cv2.imread(str(image))[..., ::-1]
-    np.testing.assert_array_equal(written, marked)
-    assert written.shape[1] > 100
-    assert (written[12:36, 20:50] > 200).any()
-    assert not picture.any()
-
-
 def test_labels_do_not_lie_over_each_other() -> None:
     """Two spots side by side have their labels apart: as many pixels are darkened as by both alone."""
-    made = measure(layer(), "spot", [(0.5, 0.5)], "S1")
-    assert made is not None
     picture = np.full((400, 600, 3), 200, np.uint8)
 
     def covered(*places: tuple[float, float]) -> int:
-        return int((marked_picture(picture, [(made, [place]) for place in places]) < 100).sum())
+        return int((marked_picture(picture, [Mark("S1 23.41 °C", "spot", (place,)) for place in places]) < 100).sum())
 
     left, right = (0.5, 0.5), (0.54, 0.5)
     assert covered(left) > 500
@@ -123,9 +81,9 @@ def test_depths_are_the_worlds_and_marks_lie_on_the_scene(unit: float) -> None:
     assert 3.0 * unit < np.nanmedian(field) < 5.0 * unit
     spot = made.measure("spot", [(0.5, 0.5)])
     assert spot is not None
-    (point,) = spot.points
-    in_camera = shown.view.viewmat[:3, :3] @ point + shown.view.viewmat[:3, 3]
-    assert unit * in_camera[2] == pytest.approx(spot.mean, rel=1e-5)
+    (point,) = spot.numbers.points
+    in_camera = shown.view.viewmat[:3, :3] @ (np.array(point) / unit) + shown.view.viewmat[:3, 3]
+    assert unit * in_camera[2] == pytest.approx(spot.numbers.mean, rel=1e-5)
 
 
 @pytest.fixture
@@ -146,7 +104,7 @@ def test_a_session_reads_and_numbers(session: ViewSession) -> None:
     assert text == f"{value:.2f} °C"
     names = [session.measure("spot", [(0.4, 0.5)]), session.measure("spot", [(0.5, 0.5)])]
     assert [made.name for made in names if made] == ["S1", "S2"]
-    session.measurements.pop(0)
+    session.book.delete("S1")
     again = session.measure("spot", [(0.5, 0.4)])
     assert again is not None
     assert again.name == "S3"
@@ -173,29 +131,32 @@ def test_a_click_measures_the_picture_that_was_clicked(session: ViewSession) -> 
     session.render(moved(session.renderer.scene.start(), 0.3), 24, 18, full=False)
     made = session.measure("spot", [(0.3, 0.5)], clicked)
     assert made is not None
-    assert made.mean == expected
+    assert made.numbers.mean == expected
     assert session.measure("spot", [(0.3, 0.5)]) is None
 
 
 def test_places_outside_are_at_the_edge(session: ViewSession) -> None:
     """A rectangle may be drawn over the edge of the picture, and a page may say any place."""
-    made = session.measure("area", [(-1e9, 0.5), (1e9, 7.0)])
+    made = session.measure("rectangle", [(-1e9, 0.5), (1e9, 7.0)])
     assert made is not None
-    assert made.points_px == ((0.0, 0.5), (1.0, 1.0))
-    assert made.count == 48 * 18
+    assert made.definition.places == ((0.0, 18.0), (48.0, 36.0))
+    assert made.numbers.count == 48 * 18
 
 
 def test_there_are_only_so_many(session: ViewSession, monkeypatch: pytest.MonkeyPatch) -> None:
     """A page that clicks without end does not fill the memory."""
-    monkeypatch.setattr("thermosplat.viewer.session.MOST_MEASUREMENTS", 2)
-    assert [session.measure("spot", [(0.5, 0.5)]) is None for _ in range(3)] == [False, False, True]
+    monkeypatch.setattr("thermosplat.thermography.measurement_book.MOST_MEASUREMENTS", 2)
+    for _ in range(2):
+        assert session.measure("spot", [(0.5, 0.5)]) is not None
+    with pytest.raises(UserError, match="2 measurements already"):
+        session.measure("spot", [(0.5, 0.5)])
 
 
 def test_a_mark_stays_on_its_object(session: ViewSession) -> None:
     """The point under a spot projects back onto it, and moves with the scene when the camera moves."""
     made = session.measure("spot", [(0.5, 0.5)])
     assert made is not None
-    (point,) = made.points
+    (point,) = made.numbers.points
     start = session.renderer.scene.start()
     seen = start.viewmat @ np.array([*point, 1.0])
     assert seen[:2] == pytest.approx([0, 0], abs=1e-5)
@@ -212,3 +173,64 @@ def test_a_wipe_reads_what_it_shows(session: ViewSession) -> None:
     assert session.probe(0.4, 0.5) is not None
     assert session.probe(0.6, 0.5) is None
     assert session.measure("spot", [(0.6, 0.5)]) is None
+
+
+def test_files_hold_everything(session: ViewSession, tmp_path: Path) -> None:
+    """Table and JSON have all digits, the place in the scene and in px, and the view; the PNG has marks and legend."""
+    made = session.measure("rectangle", [(0.3, 0.3), (0.6, 0.7)])
+    assert made is not None
+    assert session.shown is not None
+    marked = session.marked(session.shown)
+    table, image = save_measurements(tmp_path / "m", "one", session.book.pages, marked)
+    (row,) = csv.DictReader(table.open(encoding="utf-8"))
+    assert (float(row["mean"]), float(row["std"]), int(row["pixels"])) == (
+        *(made.numbers.mean, made.numbers.std),
+        made.numbers.count,
+    )
+    assert (row["unit"], row["layer"], row["quantity"]) == ("°C", "image", "temperature")
+    assert len(row["points"].split(";")) == 4
+    assert len(row["viewmat"].split()) == 16
+    assert row["places_px"] == "14.399999999999999 10.799999999999999; 28.799999999999997 25.2"
+    assert row["max_point"]
+    np.testing.assert_array_equal(cv2.imread(str(image))[..., ::-1], marked)
+    assert marked.shape[1] > 48
+    (read,) = read_book(table.with_suffix(".json"))[0].measurements
+    assert read.numbers == made.numbers
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_shape_is_anchored_on_the_scene(session: ViewSession, shape: Shape) -> None:
+    """Its outline and extremes are points of the scene; lines have a length, areas a surface; renders find them."""
+    places = {"spot": [(0.5, 0.5)], "polygon": [(0.3, 0.3), (0.7, 0.3), (0.5, 0.7)]}.get(
+        shape, [(0.3, 0.4), (0.6, 0.6)]
+    )
+    made = session.measure(shape, places)
+    assert made is not None
+    found = made.numbers
+    assert all(point is not None for point in (*found.points, found.minimum_point, found.maximum_point))
+    assert (found.length is not None) == (shape == "line")
+    assert (found.area is not None) == (shape not in ("spot", "line"))
+    assert found.minimum <= found.mean <= found.maximum
+    assert Measurer(session.renderer).measure(made.definition) == found
+
+
+def test_alarms_and_settings_of_one_measurement(session: ViewSession) -> None:
+    """The alarm tells which share it holds for; own settings recalculate this one alone."""
+    session.temperatures = SceneTemperatures(
+        session.renderer.scene.model, session.renderer.scene.scales, Recalculation.of(None, TemperatureSettings())
+    )
+    one, other = (session.measure("rectangle", [(0.3, 0.3), (0.6, 0.7)]) for _ in range(2))
+    assert one is not None
+    assert other is not None
+    session.measure_again("R1", alarm=Alarm("above", one.numbers.mean))
+    alarmed = session.book.pages.by_name["R1"]
+    assert 0 < alarmed.numbers.alarm_share < 1
+    session.measure_again("R1", settings={"emissivity": 0.7, "reflected": 5.0})
+    own, kept = (session.book.pages.by_name[name].numbers for name in ("R1", "R2"))
+    assert own.mean != pytest.approx(one.numbers.mean, abs=0.1)
+    assert (own.recalculated_share, own.recalculated) == (1.0, "recalculated: emissivity 0.7, reflected 5 °C")
+    assert kept == other.numbers
+    session.recalculate(TemperatureSettings(emissivity=0.8))
+    session.renumber()
+    assert session.book.pages.by_name["R2"].numbers.mean != kept.mean
+    assert session.book.pages.settings == {"emissivity": 0.8}

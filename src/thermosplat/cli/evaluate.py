@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
+from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.files import data_from_anywhere
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.printing import SafeConsole
-from thermosplat.spectra import MAE, label, unit_label
+from thermosplat.spectra import BIAS, MAE, label, unit_label
 
 if TYPE_CHECKING:
     from thermosplat.evaluation.labelled_regions import Regions
@@ -22,7 +24,7 @@ _ON_OWN_COLUMN = ("on own", "on_own_surface", ".0%")
 
 
 @dataclass(frozen=True)
-class EvalArguments(RunOnCaptureArguments):
+class EvalArguments(TemperatureSettings, RunOnCaptureArguments):
     """Render the held-out views of a trained run and compare them with their images: numbers, per-view CSV, PNGs."""
 
     lpips_weights: str | None = None
@@ -56,8 +58,9 @@ def _evaluate(arguments: EvalArguments) -> int:
         print(note)
     lpips, lpips_note = find_lpips(arguments.lpips_weights or loaded.config.lpips_weights, loaded.device)
     print(lpips_note)
+    temperatures = asked_temperatures(arguments, loaded, capture)
     run = loaded.directory
-    name = loaded.result_name(capture)
+    name = loaded.result_name(capture) + ("_recalculated" if temperatures.text else "")
     strips, table = run.pictures("renders", f"eval_{name}"), run.stats / f"eval_{name}.csv"
     judged = evaluate_refined(
         loaded.model,
@@ -68,6 +71,7 @@ def _evaluate(arguments: EvalArguments) -> int:
         lpips=lpips,
         strips_dir=strips,
         csv_path=table,
+        temperatures=temperatures,
     )
     metrics = judged.metrics
     shown = {f"{file_stem(frame.name)}.png" for frame in capture.test}
@@ -76,13 +80,22 @@ def _evaluate(arguments: EvalArguments) -> int:
             earlier.unlink()
     numbers = run.stats / f"eval_{name}.json"
     data = data_from_anywhere(arguments.data or loaded.config.data)
-    run.write_json(numbers, {**metrics, "steps": loaded.step, "data": data})
-    _print_metrics(loaded, metrics)
+    recalculated = {"recalculated": temperatures.text} if temperatures.text else {}
+    run.write_json(numbers, {**metrics, **recalculated, "steps": loaded.step, "data": data})
+    _print_metrics(loaded, metrics, temperatures.text)
     for sentence in unrefined_sentences(metrics):
         print(sentence)
-    by_region = run.regions_json if loaded.is_own(capture) else run.stats / f"regions_{name}.json"
+    is_usual = loaded.is_own(capture) and not temperatures.text
+    by_region = run.regions_json if is_usual else run.stats / f"regions_{name}.json"
     regions = write_regions(
-        run, loaded.model, judged.capture, loaded.step, loaded.sh_degree, loaded.device, path=by_region
+        run,
+        loaded.model,
+        judged.capture,
+        loaded.step,
+        loaded.sh_degree,
+        loaded.device,
+        path=by_region,
+        temperatures=temperatures,
     )
     if regions is not None:
         _print_regions(regions)
@@ -92,10 +105,10 @@ def _evaluate(arguments: EvalArguments) -> int:
     return 0
 
 
-def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any]) -> None:
+def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any], recalculated: str) -> None:
     from rich.table import Table
 
-    title = f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians"
+    title = ", ".join(filter(None, (f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians", recalculated)))
     of_spectra = {name: metrics[name] for name in metrics["spectra"] if metrics[name] is not None}
     measured = _measured_columns(of_spectra.values())
     headings = [heading for heading, _, _ in measured]
@@ -113,8 +126,10 @@ def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any]) -> None:
 
 def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
     """Heading, measure and form of the errors of measured values that are there."""
-    found = dict.fromkeys(name for of_spectrum in numbers for name in of_spectrum if name.startswith(MAE))
-    return [(rf"MAE \[{unit_label(name.removeprefix(MAE))}]", name, ".2f") for name in found]
+    found = dict.fromkeys(name for of_spectrum in numbers for name in of_spectrum)
+    columns = [(name, "MAE", MAE, ".2f") for name in found if name.startswith(MAE)]
+    columns += [(name, "bias", BIAS, "+.2f") for name in found if name.startswith(BIAS)]
+    return [(rf"{what} \[{unit_label(name.removeprefix(begin))}]", name, form) for name, what, begin, form in columns]
 
 
 def _print_regions(regions: "Regions") -> None:

@@ -37,6 +37,15 @@ def _export(arguments: ExportArguments) -> int:
         for flag in flags:
             if arguments.format != format and getattr(arguments, flag) not in (None, False):
                 raise UserError(f"--{flag} is a setting of {what}, not of {arguments.format}.", "Leave it out.")
+    holds_values = arguments.format in ("points", "mesh", "orthomosaic") or (
+        arguments.format == "ply" and arguments.values
+    )
+    if arguments.any_given and not holds_values:
+        flag = next(iter(arguments.given), "labels")
+        raise UserError(
+            f"--{flag} recalculates temperatures, and these files have colours alone.",
+            "Give --format points, mesh or orthomosaic, or --format ply --values.",
+        )
 
     with importing():
         from thermosplat.evaluation.loaded_run import load_run
@@ -44,7 +53,7 @@ def _export(arguments: ExportArguments) -> int:
 
         if arguments.format == "orthomosaic":
             from thermosplat.cli.exporting.map import export_map as export
-        elif arguments.format in ("points", "mesh"):
+        elif arguments.format in ("points", "las", "mesh"):
             from thermosplat.cli.exporting.surface import export_surface as export
         else:
             from thermosplat.cli.exporting.splats import export_splats as export

@@ -9,17 +9,22 @@ from typing import TYPE_CHECKING, Literal
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
 from thermosplat.cli.program import run_program
+from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.errors import UserError
 from thermosplat.printing import SafeConsole
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from thermosplat.novel_views.bookmarks import Bookmark
     from thermosplat.novel_views.viewpoints import PathName
 
 
 @dataclass(frozen=True)
-class RenderArguments(SpectraArguments, RunOnCaptureArguments):
+class RenderArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArguments):
     """Render a trained run along a camera path: a video or PNGs of one spectrum, or of several side by side."""
 
     path: str = "interp"
@@ -27,8 +32,8 @@ class RenderArguments(SpectraArguments, RunOnCaptureArguments):
     it; train, test: the views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its
     bookmarks."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named
-    by the frames on the train and test paths and numbered on the others."""
+    """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named by the frames on the
+    train and test paths and numbered on the others. Beside PNGs the measured values lie as TIFFs of 32-bit floats."""
     layout: Literal["side-by-side", "wipe", "inset"] = "side-by-side"
     """Of several spectra: beside each other; a wipe whose edge wanders over the picture; or the others small inside
     the first."""
@@ -63,9 +68,11 @@ def _render(arguments: RenderArguments) -> int:
         from thermosplat.evaluation.loaded_run import load_run
         from thermosplat.evaluation.results_page import write_results_page
         from thermosplat.novel_views.viewpoints import bookmarked_viewpoints, rendered_images, viewpoints
+        from thermosplat.pictures.image_display import write_values
         from thermosplat.pictures.layouts import check_title
         from thermosplat.pictures.video import browsers_play_videos, write_images
         from thermosplat.runs.atomic_writes import check_is_no_link
+        from thermosplat.thermography.display_range import display_range
 
     path, bookmarks = _named_path(arguments.path)
     check_title(arguments.title)
@@ -74,6 +81,7 @@ def _render(arguments: RenderArguments) -> int:
     capture = loaded.capture(arguments.data)
     for note in (*loaded.notes, *capture.notes):
         print(note)
+    temperatures = asked_temperatures(arguments, loaded, capture)
     count, device = arguments.frames, loaded.device
     if path is None:
         points = bookmarked_viewpoints(capture, bookmarks, shown, num_frames=count, device=device)
@@ -81,8 +89,19 @@ def _render(arguments: RenderArguments) -> int:
         points = viewpoints(capture, path, shown, num_frames=count, device=device)
     layout = "" if arguments.layout == "side-by-side" else f"-{arguments.layout}"
     name = f"{path or 'bookmarks'}{layout}_{'-'.join(shown)}_{loaded.result_name(capture)}"
+    name += "_recalculated" if temperatures.text else ""
     videos = loaded.directory.videos
     check_is_no_link(videos / name)
+    names = [f"{index:05d}" for index in range(len(points))]
+    if path in ("train", "test"):
+        names = [file_stem(point.frame) for point in points]
+
+    def write_measured(index: int, spectrum: str, values: "NDArray[np.float32]") -> None:
+        write_values(videos / name / f"{names[index]}_{spectrum}.tiff", values)
+
+    if arguments.format == "png":
+        for earlier in (videos / name).glob("[0-9]" * 5 + "_*.tiff"):  # of a longer path
+            earlier.unlink()
     images = rendered_images(
         loaded.model,
         points,
@@ -91,6 +110,9 @@ def _render(arguments: RenderArguments) -> int:
         layout=arguments.layout,
         color_bar=arguments.color_bar,
         title=arguments.title,
+        temperatures=temperatures,
+        ranges={name: display_range(capture, name) for name in shown},
+        measured=write_measured if arguments.format == "png" else None,
     )
     console = SafeConsole()
     doing = f"Rendering {path or 'bookmarks'}"
@@ -99,7 +121,7 @@ def _render(arguments: RenderArguments) -> int:
         videos / name,
         format=arguments.format,
         fps=arguments.fps,
-        names=[file_stem(point.frame) for point in points] if path in ("train", "test") else None,
+        names=names if path in ("train", "test") else None,
     )
     if arguments.format == "mp4" and written.is_dir():
         print("No video encoder here, so PNGs were written.")

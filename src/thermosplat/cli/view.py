@@ -13,11 +13,13 @@ import tyro
 
 from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.cli.program import run_program
+from thermosplat.cli.recalculating import known_scale
 from thermosplat.cli.viewer_flags import checked_port
+from thermosplat.config.temperature_settings import TemperatureSettings
 
 
-@dataclass(frozen=True)
-class ViewArguments:
+@dataclass(frozen=True, kw_only=True)
+class ViewArguments(TemperatureSettings):
     """Look at a trained scene in the browser: every spectrum, depth, errors, and temperatures under the cursor.
 
     Examples:
@@ -73,7 +75,12 @@ def _view(arguments: ViewArguments, unfinished: list[str]) -> int:
 
         thread.submit(import_module, "viser")  # where it is missing, the server says so
         scene, folder, notes = open_scene(
-            arguments.scene, step=arguments.step, data=arguments.data, device=arguments.device
+            arguments.scene,
+            step=arguments.step,
+            data=arguments.data,
+            device=arguments.device,
+            settings=arguments.checked(),
+            scale_of=known_scale,
         )
     for note in notes:
         print(note)

@@ -16,16 +16,18 @@ from torch import Tensor
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.datasets.read_ahead import read_ahead
-from thermosplat.image_quality.metrics import mean_absolute_error, psnr, right_outside, ssim
+from thermosplat.image_quality.metrics import psnr, right_outside, ssim
 from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.background_writes import background_writes
 from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.model import SceneModel
-from thermosplat.spectra import MAE, label, unit_label
+from thermosplat.spectra import BIAS, MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.display_range import display_range
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 Lpips = Callable[[Tensor, Tensor], float | None]
 
@@ -53,6 +55,8 @@ class RenderedView:
     """[H, W]; where there are measured values."""
     formation: Formation | None = None
     """How it was formed; says what else it is judged by."""
+    temperatures: SceneTemperatures | None = None
+    """How values are recalculated; None: they are not."""
 
     @property
     def mask(self) -> Tensor | None:
@@ -72,9 +76,27 @@ class RenderedView:
         """
         return pixel_intensity(self.image, self.scale)
 
+    @cached_property
+    def missed(self) -> Tensor | None:
+        """Measured values of the render minus those of the photograph, both recalculated where they are: float64
+        [H, W], NaN where nothing was measured; None of a spectrum without values."""
+        if self.values is None:
+            return None
+        rendered, expected = self.scale.value(self.intensity), self.values
+        if self.temperatures is not None:
+            around = self.temperatures.surroundings(self.spectrum, self.camera)
+            rendered = self.temperatures.recalculated(self.spectrum, rendered, around).values
+            expected = self.temperatures.recalculated(self.spectrum, expected, around).values
+        return (rendered.double() - expected.double()).where(self.values.isfinite(), torch.nan)
+
 
 def rendered_views(
-    model: SceneModel, frame: Frame, scales: Mapping[str, PixelScale], sh_degree: int, device: torch.device | str
+    model: SceneModel,
+    frame: Frame,
+    scales: Mapping[str, PixelScale],
+    sh_degree: int,
+    device: torch.device | str,
+    temperatures: SceneTemperatures | None = None,
 ) -> Iterator[RenderedView]:
     """Render a frame; yields its spectra that are both modelled and photographed.
 
@@ -84,6 +106,7 @@ def rendered_views(
         scales: The capture's scales.
         sh_degree: Highest SH degree in use.
         device: Where the model is.
+        temperatures: How measured values are recalculated; None: they are not.
     """
     # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
     views = {name: view_tensors(view, None, device) for name, view in frame.views.items() if name in model.spectra}
@@ -95,7 +118,8 @@ def rendered_views(
             measured = scales[name].measured_unit is not None
             values = view.values if measured else None
             formation = rendered.formations.get(name)
-            yield RenderedView(name, view, image.clamp(0, 1), view.image, scales[name], values, formation)
+            image = image.clamp(0, 1)
+            yield RenderedView(name, view, image, view.image, scales[name], values, formation, temperatures)
 
 
 @torch.no_grad()
@@ -108,6 +132,7 @@ def evaluate(
     lpips: Lpips | None = None,
     strips_dir: Path | None = None,
     csv_path: Path | None = None,
+    temperatures: SceneTemperatures | None = None,
 ) -> dict[str, Any]:
     """Render every held-out view, clamped to [0, 1], and compare it with its image.
 
@@ -119,20 +144,26 @@ def evaluate(
         lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
         strips_dir: Folder for one PNG per frame: ground truth, render and error of its spectra.
         csv_path: File for the numbers of every view.
+        temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:
-        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>"}``, the last where its values are
-        measured, and ``Formation.scores``, each the mean over the views that have it, None where none has; None as a
-        whole for a spectrum without held-out views. "spectra" lists their names; "num_gaussians" counts the Gaussians.
+        By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>", "bias_<unit>"}`` and
+        ``Formation.scores``, each the mean over the views that have it, None where none has; None as a whole for a
+        spectrum without held-out views. The mean absolute error and the bias, that of render minus image, are there
+        where its values are measured. "spectra" lists their names; "num_gaussians" counts the Gaussians.
     """
     rows: list[dict[str, Any]] = []
+    ranges = {} if strips_dir is None else {name: display_range(capture, name) for name in model.spectra}
     with background_writes() as write:
         for frame in read_ahead(capture.test):
-            results = list(rendered_views(model, frame, capture.scales, sh_degree, device))
+            results = list(rendered_views(model, frame, capture.scales, sh_degree, device, temperatures))
             numbers = [_numbers(result, lpips) for result in results]
             rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]
             if strips_dir is not None and results:
-                comparisons = [_comparison(result, values["psnr"]) for result, values in zip(results, numbers)]
+                comparisons = [
+                    _comparison(result, values["psnr"], ranges.get(result.spectrum))
+                    for result, values in zip(results, numbers)
+                ]
                 strip = strips_dir / f"{file_stem(frame.name)}.png"
                 write(partial(write_png, strip, comparison_strip(comparisons)))
     if csv_path is not None:
@@ -143,7 +174,13 @@ def evaluate(
 
 @torch.no_grad()
 def frame_comparisons(
-    model: SceneModel, frame: Frame, scales: Mapping[str, PixelScale], *, sh_degree: int, device: torch.device | str
+    model: SceneModel,
+    frame: Frame,
+    scales: Mapping[str, PixelScale],
+    *,
+    sh_degree: int,
+    device: torch.device | str,
+    ranges: Mapping[str, tuple[float, float] | None] | None = None,
 ) -> dict[str, Comparison]:
     """Ground truth, render and error of one frame, by spectrum.
 
@@ -153,9 +190,13 @@ def frame_comparisons(
         scales: The capture's scales.
         sh_degree: Highest SH degree in use.
         device: Where the model is.
+        ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales.
     """
+    shown = ranges or {}
     return {
-        result.spectrum: _comparison(result, _finite(psnr(result.image, result.target, result.mask)))
+        result.spectrum: _comparison(
+            result, _finite(psnr(result.image, result.target, result.mask)), shown.get(result.spectrum)
+        )
         for result in rendered_views(model, frame, scales, sh_degree, device)
     }
 
@@ -172,10 +213,11 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
         "lpips": None if lpips is None else lpips(result.counted, result.target),
     }
     if result.scale.unit is not None:
-        numbers[f"{MAE}{result.scale.unit}"] = None
-        if result.values is not None:
-            error = mean_absolute_error(result.intensity, result.values, result.scale)
-            numbers[f"{MAE}{result.scale.unit}"] = error
+        numbers |= {f"{MAE}{result.scale.unit}": None, f"{BIAS}{result.scale.unit}": None}
+        if result.missed is not None and result.values is not None and result.values.isfinite().any():
+            missed = result.missed[result.values.isfinite()]
+            numbers[f"{MAE}{result.scale.unit}"] = missed.abs().mean().item()
+            numbers[f"{BIAS}{result.scale.unit}"] = missed.mean().item()
     if result.formation is not None:
         numbers |= result.formation.scores(result.image, result.target, result.mask)
     return {name: _finite(number) for name, number in numbers.items()}
@@ -186,20 +228,22 @@ def _finite(number: float | None) -> float | None:
     return number if number is not None and math.isfinite(number) else None
 
 
-def _comparison(result: RenderedView, decibels: float | None) -> Comparison:
+def _comparison(result: RenderedView, decibels: float | None, span: tuple[float, float] | None = None) -> Comparison:
+    """A view's images and its error; ``span`` has the values at the palette's ends, None: those of its scale."""
     render, truth = result.image.cpu().numpy(), result.target.cpu().numpy()
     error = (result.counted - result.target).abs().mean(dim=-1).cpu().numpy()
     without = "not finite" if np.isnan(error).any() else "exact"
     score = without if decibels is None else f"{decibels:.2f} dB"
-    shown = spectrum_bytes(truth, result.scale), spectrum_bytes(render, result.scale)
+    shown = spectrum_bytes(truth, result.scale, span), spectrum_bytes(render, result.scale, span)
     called = label(result.spectrum)
     unit = result.scale.measured_unit
-    if unit is None or result.values is None or result.scale.range is None:
+    if unit is None or result.missed is None or result.scale.range is None:
         return Comparison(called, score, *shown, error, LARGEST_ERROR)
-    low, high = result.scale.range
-    missed = (result.scale.value(result.intensity) - result.values).abs().nan_to_num()  # unmeasured: no error
+    low, high = span or result.scale.range
+    missed = result.missed.abs().nan_to_num()  # unmeasured: no error
     largest = LARGEST_MEASURED_ERROR * (high - low)
-    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=unit_label(unit))
+    bar = result.scale.palette, low, high
+    return Comparison(called, score, *shown, missed.cpu().numpy(), largest, unit=unit_label(unit), bar=bar)
 
 
 def _means(rows: list[dict[str, Any]], spectrum: str) -> dict[str, float | None] | None:

@@ -27,6 +27,7 @@ from thermosplat.refinement.camera_motion import moved_frame
 from thermosplat.refinement.corrected_capture import with_moved_frames
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import label
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 STEPS = 100
 """Updates per frame. Open choice."""
@@ -56,6 +57,7 @@ def evaluate_refined(
     lpips: Lpips | None = None,
     strips_dir: Path | None = None,
     csv_path: Path | None = None,
+    temperatures: SceneTemperatures | None = None,
 ) -> Judged:
     """Judge a model by its held-out views, whose poses are found first if training refined those of its own.
 
@@ -68,8 +70,9 @@ def evaluate_refined(
         lpips: As of ``evaluate``.
         strips_dir: As of ``evaluate``.
         csv_path: As of ``evaluate``.
+        temperatures: As of ``evaluate``.
     """
-    how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "lpips": lpips}
+    how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "lpips": lpips, "temperatures": temperatures}
     if POSES not in config.refine:
         return Judged(evaluate(model, capture, **how, strips_dir=strips_dir, csv_path=csv_path), capture)
     unrefined = evaluate(model, capture, **how)

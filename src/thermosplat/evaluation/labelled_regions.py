@@ -20,6 +20,7 @@ from thermosplat.evaluation.held_out import RenderedView, rendered_views
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import MAE, label, unit_label
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 ALL = "all"
 PIXELS = "pixels"
@@ -72,7 +73,14 @@ Regions = dict[str, dict[str, Any]]
 
 
 @torch.no_grad()
-def region_errors(model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str) -> Regions | None:
+def region_errors(
+    model: SceneModel,
+    capture: Capture,
+    *,
+    sh_degree: int,
+    device: torch.device | str,
+    temperatures: SceneTemperatures | None = None,
+) -> Regions | None:
     """Image and depth errors by region, over the held-out views that have ground truth.
 
     Args:
@@ -80,6 +88,7 @@ def region_errors(model: SceneModel, capture: Capture, *, sh_degree: int, device
         capture: Its capture; ``capture.test`` is rendered.
         sh_degree: Highest SH degree in use.
         device: Where the model is.
+        temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:
         By region, in the order of ``REGIONS``, those with pixels only: "pixels", and by spectrum "psnr" [dB], "mae" (of
@@ -94,7 +103,7 @@ def region_errors(model: SceneModel, capture: Capture, *, sh_degree: int, device
         read = read_ground_truth(capture, frame)
         if read is not None:
             found, truth = True, _Truth.on(device, read)
-            maps = _error_maps(model, capture, frame, truth, sh_degree, device)
+            maps = _error_maps(model, capture, frame, truth, sh_degree, device, temperatures)
             for name, mask in truth.masks().items():
                 samples[name].add(mask, maps)
     return {name: of_region.numbers() for name, of_region in samples.items() if of_region.pixels} if found else None
@@ -109,6 +118,7 @@ def write_regions(
     device: torch.device | str,
     *,
     path: Path | None = None,
+    temperatures: SceneTemperatures | None = None,
 ) -> Regions | None:
     """Measure ``region_errors`` and write the run's regions.json; without ground truth nothing is written.
 
@@ -120,11 +130,12 @@ def write_regions(
         sh_degree: Highest SH degree in use.
         device: Where the model is.
         path: Another file in place of regions.json.
+        temperatures: As of ``region_errors``.
 
     Returns:
         The errors.
     """
-    regions = region_errors(model, capture, sh_degree=sh_degree, device=device)
+    regions = region_errors(model, capture, sh_degree=sh_degree, device=device, temperatures=temperatures)
     if regions is not None:
         run.write_json(path or run.regions_json, {"steps": steps, "regions": regions})
     return regions
@@ -170,10 +181,11 @@ def _error_maps(
     truth: _Truth,
     sh_degree: int,
     device: torch.device | str,
+    temperatures: SceneTemperatures | None,
 ) -> Maps:
     return {
         view.spectrum: _image_errors(view) | _depth_errors(model, view, truth)
-        for view in rendered_views(model, frame, capture.scales, sh_degree, device)
+        for view in rendered_views(model, frame, capture.scales, sh_degree, device, temperatures)
     }
 
 
@@ -200,10 +212,8 @@ def _image_errors(view: RenderedView) -> dict[str, Tensor]:
         difference = difference.where(view.mask[..., None], torch.nan)
     errors = {"squared": difference.square().mean(dim=-1), "absolute": difference.abs().mean(dim=-1)}
     if view.scale.unit is not None:
-        missed = torch.full_like(errors["absolute"], torch.nan)
-        if view.values is not None:
-            missed = (view.scale.value(view.intensity).double() - view.values.double()).abs()
-        errors[f"{MAE}{view.scale.unit}"] = missed
+        nothing = torch.full_like(errors["absolute"], torch.nan)
+        errors[f"{MAE}{view.scale.unit}"] = nothing if view.missed is None else view.missed.abs()
     return errors
 
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,9 +14,11 @@ import torch
 from numpy.typing import NDArray
 
 from thermosplat.config import TrainConfig
+from thermosplat.config.temperature_settings import TemperatureSettings, read_labels
 from thermosplat.datasets import capture_of
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.datasets.geo_file import GeoFrame, read_geo
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.refinement.camera_corrections import CameraCorrections
@@ -26,8 +29,14 @@ from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory, checkpoint_step
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.saved_gaussians import num_not_finite
-from thermosplat.spectra import BUILT_IN_PALETTES, SpectrumConfig
+from thermosplat.spectra import BUILT_IN_PALETTES, CELSIUS, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermal.recalculation import Recalculation
+from thermosplat.thermal.thermal_parameters import capture_parameters
+from thermosplat.thermography.certainty import Certainty
+from thermosplat.thermography.label_images import LabelImages
+from thermosplat.thermography.measurements_file import FOLDER, MEASUREMENTS, read_scale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,15 @@ class LoadedRun:
         viewmat_, K_ = (torch.as_tensor(matrix, dtype=torch.float32, device=self.device) for matrix in (in_scene, K))
         return ViewTensors(viewmat_, K_, width, height)
 
+    @cached_property
+    def geo(self) -> GeoFrame | None:
+        """Where the world of its capture lies on the Earth, as the capture said when it was trained on.
+
+        Raises:
+            UserError: geo.json in the result folder is damaged.
+        """
+        return read_geo(self.directory.path)
+
     def capture(self, data: str | None) -> Capture:
         """The capture it was trained on, with the cameras that training has corrected.
 
@@ -101,6 +119,69 @@ class LoadedRun:
         if self.corrections is None:
             return capture
         return corrected_capture(capture, self._corrections(capture, self.corrections))
+
+    def temperatures(
+        self,
+        settings: TemperatureSettings | None = None,
+        *,
+        capture: Capture | None = None,
+        metres_per_unit: float | None = None,
+    ) -> SceneTemperatures:
+        """How measured values are made of what the scene renders, recalculated if that is asked for.
+
+        Args:
+            settings: What is asked for; without a number of it temperatures stay as the capture has them, and can be
+                recalculated later (``SceneTemperatures.asking``). None: they stay.
+            capture: The run's capture (``capture``), whose folder says what was applied. Label images need it. None:
+                the folder that it was trained from is looked at.
+            metres_per_unit: Length of a unit of the capture's own poses [m]; None: that of a measured length
+                (``RUN/measurements/measurements.json``), else nobody knows it.
+
+        Raises:
+            UserError: A setting is impossible, no spectrum has temperatures, or a file is damaged.
+        """
+        if settings is None:
+            return SceneTemperatures(self.model, self.scales)
+        settings.checked()
+        if not any(scale.measured_unit == CELSIUS for scale in self.scales.values()):
+            raise UserError(
+                f"{self.directory.path} has no temperatures that could be recalculated.",
+                "Train on thermal images with degrees: docs/temperatures.md.",
+            )
+        root = Path(self.config.data) if capture is None else capture.root
+        labels_file = None if settings.labels is None else Path(settings.labels).expanduser()
+        surfaces = {} if labels_file is None else read_labels(labels_file)
+        made = Recalculation.of(capture_parameters(root), settings, surfaces)
+        labels = {}
+        if labels_file is not None:
+            if capture is None:
+                raise UserError("Label images lie in the pixels of the capture's images.", "Give the capture, too.")
+            names = [name for name, scale in self.scales.items() if scale.measured_unit == CELSIUS]
+            labels = {name: LabelImages(capture, self.model, name, labels_file, self.device) for name in names}
+        if metres_per_unit is None:
+            metres_per_unit = read_scale(self.directory.path / FOLDER / MEASUREMENTS)
+        return SceneTemperatures(self.model, self.scales, made, metres_per_unit=metres_per_unit, labels=labels)
+
+    def certainties(self, capture: Capture) -> dict[str, Certainty]:
+        """How sure measured values are, by spectrum; found when it is first asked for, and kept in the run.
+
+        Args:
+            capture: The run's capture.
+        """
+        stats, name = self.directory.stats, self.result_name(capture)
+        return {
+            spectrum: Certainty(
+                self.model,
+                capture,
+                spectrum,
+                scale,
+                sh_degree=self.sh_degree,
+                device=self.device,
+                keep=stats / f"certainty_{spectrum}_{name}.json",
+            )
+            for spectrum, scale in self.scales.items()
+            if scale.measured_unit is not None and any(spectrum in frame.views for frame in capture.train)
+        }
 
     def _corrections(self, capture: Capture, learnt: dict[str, Any]) -> CameraCorrections:
         """What training found wrong with the cameras of its capture."""

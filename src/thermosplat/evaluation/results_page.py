@@ -8,16 +8,19 @@ import html
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from thermosplat import __version__
+from thermosplat.config.yaml_files import read_yaml
+from thermosplat.errors import UserError
 from thermosplat.pictures.line_plot import Line, line_plot
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.runs.written_files import PAGE, PAGE_MARK, is_our_page
-from thermosplat.spectra import MAE, label, unit_label
+from thermosplat.spectra import BIAS, MAE, label, unit_label
 
 _POLICY = "default-src 'none'; img-src 'self' file:; media-src 'self' file:; style-src 'unsafe-inline'"
 _STYLE = """
@@ -79,6 +82,7 @@ def results_page(run: RunDirectory) -> str:
 <meta http-equiv="Content-Security-Policy" content="{_POLICY}">
 <title>{html.escape(name)}</title><style>{_STYLE}</style></head><body>
 <h1>{html.escape(name)}</h1>
+<p class="facts">{html.escape(_origin(run))}</p>
 <p class="facts">{html.escape(_facts(metrics))}</p>
 {"".join(sections)}
 <p class="facts">thermosplat {html.escape(__version__)}</p>
@@ -88,6 +92,17 @@ def results_page(run: RunDirectory) -> str:
 
 def _section(title: str, content: str) -> str:
     return f"<h2>{html.escape(title)}</h2>\n{content}\n" if content else ""
+
+
+def _origin(run: RunDirectory) -> str:
+    """Of which capture the run is, where it lies, and when it ended."""
+    try:
+        capture = f"capture {Path(str(read_yaml(run.config_yaml)['data'])).name}"
+    except (UserError, KeyError):
+        capture = ""
+    written = run.metrics_json if run.metrics_json.is_file() else run.config_yaml
+    ended = datetime.fromtimestamp(written.stat().st_mtime).strftime("%Y-%m-%d %H:%M") if written.is_file() else ""
+    return " · ".join(filter(None, (capture, str(run.path.resolve()), ended)))
 
 
 def _facts(metrics: dict[str, Any]) -> str:
@@ -115,9 +130,10 @@ def _numbers(metrics: dict[str, Any]) -> str:
     measured = {name: values for name in spectra if isinstance(values := metrics.get(name), dict)}
     if not measured:
         return ""
-    units = sorted({key for values in measured.values() for key in values if key.startswith(MAE)})
-    columns = [("psnr", "PSNR [dB]", ".2f"), ("ssim", "SSIM", ".4f"), ("lpips", "LPIPS", ".4f")]
-    columns += [(key, f"MAE [{unit_label(key.removeprefix(MAE))}]", ".3f") for key in units]
+    units = sorted({key.removeprefix(MAE) for values in measured.values() for key in values if key.startswith(MAE)})
+    columns = [(f"{MAE}{unit}", f"MAE [{unit_label(unit)}]", ".3f") for unit in units]
+    columns += [(f"{BIAS}{unit}", f"bias [{unit_label(unit)}]", "+.3f") for unit in units]
+    columns += [("psnr", "PSNR [dB]", ".2f"), ("ssim", "SSIM", ".4f"), ("lpips", "LPIPS", ".4f")]
     columns = [column for column in columns if any(_is_number(values.get(column[0])) for values in measured.values())]
     head = "".join(f"<th>{html.escape(heading)}</th>" for _, heading, _ in columns)
     body = "".join(

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from thermosplat.image_quality.ssim import ssim_map
-from thermosplat.thermal.radiometry import PixelScale
 
 
 def psnr(render: Tensor, target: Tensor, mask: Tensor | None = None) -> float:
@@ -55,20 +54,3 @@ def right_outside(render: Tensor, target: Tensor, mask: Tensor | None) -> Tensor
         mask: bool [H, W], which pixels count; None: all.
     """
     return render if mask is None else torch.where(mask[..., None], render, target)
-
-
-def mean_absolute_error(intensity: Tensor, values: Tensor, scale: PixelScale) -> float | None:
-    """Mean absolute error of measured values, such as temperatures.
-
-    Args:
-        intensity: Intensity of the render in [0, 1], shape [H, W] (``pixel_intensity``).
-        values: Measured values in the scale's unit, shape [H, W]; pixels that are not finite are left out.
-        scale: What pixel values mean.
-
-    Returns:
-        The error in the scale's unit; None where it has none or no pixel was measured.
-    """
-    if scale.measured_unit is None:
-        return None
-    errors = (scale.value(intensity).double() - values.double()).abs()[values.isfinite()]
-    return errors.mean().item() if len(errors) else None

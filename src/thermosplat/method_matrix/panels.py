@@ -20,6 +20,7 @@ from thermosplat.method_matrix.cell_result import read_json, write_json
 from thermosplat.pictures.image_display import Image8, depth_bytes, error_bytes, read_png, write_png
 from thermosplat.runs.atomic_writes import plain_folder
 from thermosplat.scene.model import SceneModel
+from thermosplat.thermography.display_range import display_range
 
 FOLDER = "panels"
 INDEX = "panels.json"
@@ -73,7 +74,9 @@ def write_panels(
     pictures = plain_folder(folder, FOLDER)
     for frame in shown_frames(capture.test):
         truth = read_ground_truth(capture, frame)
-        comparisons = frame_comparisons(model, frame, capture.scales, sh_degree=sh_degree, device=device)
+        ranges = {name: display_range(capture, name) for name in model.spectra}
+        how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "ranges": ranges}
+        comparisons = frame_comparisons(model, frame, capture.scales, **how)
         for spectrum, comparison in comparisons.items():
             stem = f"{file_stem(frame.name)}_{spectrum}"
             write_png(pictures / f"{stem}_truth.png", comparison.truth)

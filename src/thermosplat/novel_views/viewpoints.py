@@ -1,12 +1,13 @@
 """Images of a trained scene along a camera path."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame
@@ -14,15 +15,20 @@ from thermosplat.datasets.frame_tensors import ViewTensors, distortion_tensor, w
 from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark, fov_camera, path_through
 from thermosplat.novel_views.camera_paths import ellipse_path, interpolated_path, spiral_path
-from thermosplat.pictures.image_display import Image8, spectrum_bytes
+from thermosplat.pictures.hatching import hatched
+from thermosplat.pictures.image_display import Image8, rgb_bytes, spectrum_bytes
 from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import listed, unit_label
+from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 PathName = Literal["interp", "ellipse", "spiral", "train", "test"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
 
+LEAST_COVER = 0.9
+"""Values that Gaussians cover less are mixed with the black behind, as in maps."""
 _PATHS = {"interp": interpolated_path, "ellipse": ellipse_path, "spiral": spiral_path}
 
 
@@ -128,6 +134,9 @@ def rendered_images(
     layout: Layout = "side-by-side",
     color_bar: bool = False,
     title: str = "",
+    temperatures: SceneTemperatures | None = None,
+    ranges: Mapping[str, tuple[float, float] | None] | None = None,
+    measured: Callable[[int, str, NDArray[np.float32]], None] | None = None,
 ) -> Iterator[Image8]:
     """Render viewpoints one after the other, as images to look at.
 
@@ -139,22 +148,74 @@ def rendered_images(
         layout: How the shown spectra are put together (:func:`~thermosplat.pictures.layouts.arranged`).
         color_bar: Put a colour bar of each measured spectrum beside the picture.
         title: One line above it; "" for none.
+        temperatures: How temperatures are recalculated; None: they are not. Pictures that are say so in the title, and
+            pixels that are not are hatched.
+        ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales. Recalculated
+            temperatures have their own.
+        measured: Takes the number of each viewpoint, the name of each measured spectrum and its values [H, W] in its
+            unit, recalculated as the pictures are; NaN where Gaussians cover less than 90%.
 
     Yields:
         8-bit RGB [H, W, 3].
     """
+    if temperatures is not None and temperatures.text:
+        title = "; ".join(filter(None, (title, temperatures.text)))
+        scales = {name: temperatures.shown_scale(name) for name in scales}
     for index, point in enumerate(points):
         rendered = model.render(point.views, sh_degree=sh_degree)
         names = [name for name in model.spectra if name in rendered.images]
         if not names:
             continue
-        images = [spectrum_bytes(rendered.images[name].cpu().numpy(), scales[name]) for name in names]
+        for name in names:
+            if measured is not None and scales[name].kind != "photograph" and scales[name].measured_unit is not None:
+                image, view = rendered.images[name], point.views[name]
+                measured(index, name, _values(name, image, rendered.alphas[name], view, scales[name], temperatures))
+        spans = {} if ranges is None or (temperatures is not None and temperatures.text) else ranges
+        images = [
+            _picture(name, rendered.images[name], point.views[name], scales[name], temperatures, spans.get(name))
+            for name in names
+        ]
         picture = arranged(images, layout, index / max(1, len(points) - 1))
         if color_bar or title:
-            measured = [name for name in names if color_bar and scales[name].measured_unit is not None]
-            units = [unit_label(scales[name].measured_unit or "") for name in measured]
-            picture = with_legend(picture, [scales[name] for name in measured], units, title)
+            barred = [name for name in names if color_bar and scales[name].measured_unit is not None]
+            units = [unit_label(scales[name].measured_unit or "") for name in barred]
+            shown_scales = [replace(scales[name], range=spans.get(name) or scales[name].range) for name in barred]
+            picture = with_legend(picture, shown_scales, units, title)
         yield picture
+
+
+def _picture(
+    name: str,
+    image: Tensor,
+    view: ViewTensors,
+    scale: PixelScale,
+    temperatures: SceneTemperatures | None,
+    span: tuple[float, float] | None,
+) -> Image8:
+    """A rendered image for the eye; recalculated where that is asked for, with ``scale`` the recalculated one."""
+    if temperatures is None or not temperatures.recalculates(name) or scale.range is None:
+        return spectrum_bytes(image.cpu().numpy(), scale, span)
+    made = temperatures.of_image(name, image, view)
+    low, high = scale.range
+    shares = (made.values.cpu().numpy() - low) / max(high - low, 1e-12)
+    picture = rgb_bytes(scale.palette.to_color(shares))
+    return picture if made.changed is None else hatched(picture, ~made.changed)
+
+
+def _values(
+    name: str,
+    image: Tensor,
+    alphas: Tensor,
+    view: ViewTensors,
+    scale: PixelScale,
+    temperatures: SceneTemperatures | None,
+) -> NDArray[np.float32]:
+    """Measured values [H, W] of a rendered image [H, W, C], recalculated where that is asked for."""
+    if temperatures is not None and temperatures.recalculates(name):
+        values = temperatures.of_image(name, image, view).values.to(alphas)
+    else:
+        values = scale.value(pixel_intensity(image.clamp(0, 1), scale))
+    return torch.where(alphas[..., 0] >= LEAST_COVER, values, torch.nan).cpu().numpy().astype(np.float32)
 
 
 def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str) -> Viewpoint:

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.pictures.color_bar import write_text
+from thermosplat.pictures.color_bar import color_bar, write_text
 from thermosplat.pictures.image_display import Image8, error_bytes, resized
+from thermosplat.thermal.radiometry import Palette
 
 HEADER_HEIGHT = 20  # [px], room for one line of text
 GAP = 4  # [px] between panels and rows
@@ -32,6 +33,8 @@ class Comparison:
     """Error at the bright end of the error map's palette."""
     unit: str = ""
     """Unit of the error, e.g. "°C"."""
+    bar: tuple[Palette, float, float] | None = None
+    """Palette of ground truth and render, and the values at its ends, in that unit; None: they have colours alone."""
 
 
 def comparison_strip(comparisons: list[Comparison]) -> Image8:
@@ -45,6 +48,8 @@ def comparison_strip(comparisons: list[Comparison]) -> Image8:
     """
     panel_width = max(max(comparison.truth.shape[1] for comparison in comparisons), LEAST_PANEL_WIDTH)
     rows = [_row(comparison, panel_width) for comparison in comparisons]
+    width = max(row.shape[1] for row in rows)
+    rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
     gap = np.zeros((GAP, rows[0].shape[1], 3), np.uint8)
     return np.concatenate([part for row in rows for part in (row, gap)][:-1])
 
@@ -56,7 +61,10 @@ def _row(comparison: Comparison, width: int) -> Image8:
         titled(f"render {comparison.score}", comparison.render, width),
         titled("error 0", error, width, palette_end=f"{comparison.largest_error:.2g} {comparison.unit}".rstrip()),
     ]
-    gap = np.zeros((panels[0].shape[0], GAP, 3), np.uint8)
+    height = panels[0].shape[0]
+    if comparison.bar is not None:
+        panels.append(color_bar(*comparison.bar, comparison.unit, max(60, height))[:height])
+    gap = np.zeros((height, GAP, 3), np.uint8)
     return np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
 
 

@@ -27,17 +27,21 @@ def rgb_bytes(image: NDArray[np.floating]) -> Image8:
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def spectrum_bytes(image: NDArray[np.floating], scale: PixelScale) -> Image8:
+def spectrum_bytes(image: NDArray[np.floating], scale: PixelScale, shown: tuple[float, float] | None = None) -> Image8:
     """An image of any spectrum as 8-bit colours: as it is where it has colours, through the palette where it has one
     value.
 
     Args:
         image: Image, 0 to 1, shape [H, W, 3] or [H, W, 1] as the scale's kind says.
         scale: What its pixel values mean.
+        shown: Values at the palette's ends, of an image of values; None: those that 0 and 1 stand for.
     """
     if scale.channels == 3:
         return rgb_bytes(image)
-    return rgb_bytes(scale.palette.to_color(np.clip(image[..., 0], 0.0, 1.0)))
+    shares = np.clip(image[..., 0], 0.0, 1.0)
+    if shown is not None and scale.range is not None and shown != scale.range:
+        shares = (scale.value(shares) - shown[0]) / max(shown[1] - shown[0], _NO_SPAN)
+    return rgb_bytes(scale.palette.to_color(np.clip(shares, 0.0, 1.0)))
 
 
 def error_bytes(error: NDArray[np.floating], largest: float) -> Image8:
@@ -74,6 +78,11 @@ def write_png(path: Path, image: Image8) -> None:
         image: Shape [H, W, 3].
     """
     write_bytes(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
+
+
+def write_values(path: Path, values: NDArray[np.float32]) -> None:
+    """Write measured values [H, W] as a TIFF of 32-bit floats; the file appears at once and whole."""
+    write_bytes(path, cv2.imencode(".tiff", values)[1].tobytes())
 
 
 def side_by_side(images: Sequence[Image8]) -> Image8:

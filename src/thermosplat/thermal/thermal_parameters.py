@@ -10,6 +10,9 @@
 Names are those of the thermal images in the capture. What a file does not say is left out. ``applied`` says what the
 temperatures of the capture are: computed with these values (true), or those of a black body before the lens (false),
 for which emissivity, reflection and air are still to be corrected. The formula is in ``planck_counts``.
+
+A person may say the same of all images in ``thermal_parameters.yaml`` beside it, where files say nothing or another
+thing than is true: the keys of one image, at the file's top.
 """
 
 import json
@@ -19,6 +22,10 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from thermosplat.config.values import shown
+from thermosplat.config.yaml_files import read_yaml
 from thermosplat.errors import UserError
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS, RadiometricCamera
 
@@ -98,6 +105,73 @@ def read_parameters(path: Path) -> dict[str, ThermalParameters]:
             f"{path} is damaged: {type(error).__name__}: {error}.",
             "Import the thermal files again: thermosplat-prepare import FOLDER --out CAPTURE",
         ) from error
+
+
+@dataclass(frozen=True)
+class CaptureParameters:
+    """What is known of all thermal images of a capture together."""
+
+    stated: ThermalParameters
+    """The median over the images of each number that they state; a person's own statement goes before."""
+    notes: tuple[str, ...] = ()
+    """What differs between the images, a sentence each."""
+
+
+def capture_parameters(folder: Path) -> CaptureParameters | None:
+    """What a capture's thermal_parameters.json and thermal_parameters.yaml say of its temperatures.
+
+    Args:
+        folder: The capture.
+
+    Returns:
+        None where it has neither file.
+
+    Raises:
+        UserError: A file is damaged, or states what is impossible.
+    """
+    images = list(read_parameters(folder / "thermal_parameters.json").values())
+    by_hand = folder / "thermal_parameters.yaml"
+    own = _by_hand(by_hand) if by_hand.is_file() else None
+    if not images:
+        return None if own is None else CaptureParameters(own)
+    notes = []
+    numbers: dict[str, Any] = {"applied": sum(one.applied for one in images) * 2 > len(images)}
+    if len({one.applied for one in images}) > 1:
+        notes.append("Some images' temperatures were computed with what their files state, and others' were not.")
+    for field in fields(ThermalParameters)[1:]:
+        found = [value for one in images if (value := getattr(one, field.name)) is not None]
+        if not found:
+            continue
+        if field.name in ("planck", "air"):
+            numbers[field.name] = max(found, key=found.count)
+        else:
+            numbers[field.name] = float(np.median(found))
+            if max(found) - min(found) > 1e-3 * max(abs(max(found)), 1.0):
+                notes.append(
+                    f"The files' {field.name} ranges from {min(found):g} to {max(found):g}; "
+                    f"their median {numbers[field.name]:g} stands for all of them."
+                )
+    if own is not None:
+        numbers |= {name: value for name, value in asdict(own).items() if value is not None}
+    return CaptureParameters(ThermalParameters(**numbers), tuple(notes))
+
+
+def _by_hand(path: Path) -> ThermalParameters:
+    stated = read_yaml(path)
+    known = [field.name for field in fields(ThermalParameters)]
+    hint = "docs/temperatures.md has an example."
+    if unknown := sorted(stated.keys() - set(known)):
+        raise UserError(f"{path} has {shown(unknown[0])}; known are {', '.join(known)}.", hint)
+    if not isinstance(stated.get("applied"), bool):
+        raise UserError(
+            f"{path} must say what the capture's temperatures are: applied: true, computed with these values; or "
+            "applied: false, those of a black body before the lens.",
+            hint,
+        )
+    try:
+        return _parameters(stated)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} states what is no number: {type(error).__name__}: {error}.", hint) from error
 
 
 def _parameters(stated: Mapping[str, Any]) -> ThermalParameters:

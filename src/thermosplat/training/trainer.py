@@ -20,6 +20,7 @@ from typing import Any
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.geo_file import GEO_FILE
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.distributed.team import Team
 from thermosplat.runs.checkpoint import Checkpoint
@@ -247,6 +248,8 @@ class Trainer:
         self.run.sweep()
         self.run.write_config(self.recipe.asked)
         self.run.write_environment(self.device)
+        if self.capture.geo is not None:
+            self.run.write_json(self.run.path / GEO_FILE, self.capture.geo.content())
         evaluates = self.step == self.config.max_steps or self.results.lack_evaluation()
         self.logger.start(self.step, evaluates=evaluates)
         notes = (*self.capture.notes, *self.recipe.notes, *self.parts.scenes.notes, about_lpips)

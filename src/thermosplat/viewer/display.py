@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.pictures.display_palettes import display_palette
+from thermosplat.pictures.hatching import hatched
 from thermosplat.pictures.image_display import Image8, resized, rgb_bytes
 from thermosplat.thermal.radiometry import Palette
 from thermosplat.viewer.layers import LayerImage
@@ -70,6 +71,8 @@ class Display:
             picture = np.where(outside[..., None], grey[..., None], picture)
         if self.isotherms > 0:
             picture = np.where(isotherms(image.field, self.isotherms)[..., None], _contrast(picture), picture)
+        if image.changed is not None:
+            picture = hatched(picture.astype(np.uint8), there & ~image.changed)
         return np.where(there[..., None], picture, _NOTHING).astype(np.uint8)
 
 

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from thermosplat.novel_views.bookmarks import Bookmark, read_bookmarks, write_bookmarks
 from thermosplat.runs.atomic_writes import sweep
+from thermosplat.spectra import CELSIUS
+from thermosplat.thermography.measurement_book import MeasurementBook
+from thermosplat.thermography.measurements_file import MEASUREMENTS, read_book
 from thermosplat.viewer.door import DEFAULT_PORT, Door, address, open_server
 from thermosplat.viewer.layers import LayerRenderer, available_layers
 from thermosplat.viewer.notices import NOTICES
@@ -51,6 +54,7 @@ class Shared:
     def __post_init__(self) -> None:
         self._naming = threading.Lock()
         self._named = 0
+        self.book = self._book()
         sweep(self.folder)  # of a video that a program which was ended left behind
         if self.bookmarks_file.is_file() and not self.bookmarks:
             placement = self.scene.model.placement
@@ -60,6 +64,11 @@ class Shared:
     def scene(self) -> ViewedScene:
         """The scene."""
         return self.renderer.scene
+
+    def _book(self) -> MeasurementBook:
+        """What was measured before, and where it is kept."""
+        path = self.folder / MEASUREMENTS
+        return MeasurementBook(path, read_book(path)[0] if path.is_file() else None)
 
     @property
     def bookmarks_file(self) -> Path:
@@ -156,7 +165,9 @@ class Viewer:
 
     def _enter(self, client: "viser.ClientHandle") -> None:
         layers = available_layers(self.shared.scene)
-        session = ViewSession(self.shared.renderer, self.shared.turns, start_wish(layers))
+        measured = [name for name, scale in self.shared.scene.scales.items() if scale.measured_unit == CELSIUS]
+        wish = start_wish(layers, measured)
+        session = ViewSession(self.shared.renderer, self.shared.turns, wish, book=self.shared.book)
         visitor = Visitor(client, session, self.shared)
         with self._changing:
             if client.client_id not in self.server.get_clients():  # gone already

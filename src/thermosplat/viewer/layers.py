@@ -23,6 +23,8 @@ from thermosplat.scene.views import Rendering, render_view
 from thermosplat.spectra import label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import Palette, PixelScale
+from thermosplat.thermography.certainty import DOUBTS, Sure
+from thermosplat.thermography.scene_temperatures import SceneTemperatures, Surroundings, Values
 from thermosplat.viewer.photographs import Photographs
 from thermosplat.viewer.viewed_scene import ViewedScene
 
@@ -32,10 +34,11 @@ _LABELS = {
     "opacity": "opacity, {}",
     "offset": "opacity offset, {}",
     "features": "features, {}",
+    "doubt": "how sure, {}",
     "error": "error, {}",
     "photograph": "photograph, {}",
 }
-_OTHERS = ("depth", "offset", "photograph")
+_OTHERS = ("depth", "offset", "doubt", "photograph")
 """Layers that a render of the spectrum's image does not have."""
 _SPREAD = 3.0
 """Standard deviations of the features' principal components from black to full colour, to either side."""
@@ -76,6 +79,10 @@ class LayerImage:
     """What the values are, such as "temperature"."""
     decimals: int = 2
     """Digits behind the point that its values are shown with."""
+    changed: NDArray[np.bool_] | None = None
+    """Where temperatures were recalculated, or in "how sure" may be read, shape [H, W]; None: it does not matter."""
+    reasons: tuple[str, ...] = ()
+    """Why they were not, or may not, elsewhere; a sentence each."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -97,6 +104,7 @@ def available_layers(scene: ViewedScene) -> list[Layer]:
     layers += [Layer("features", name) for name in spectra if model.formations[name].takes_features]
     layers += [Layer(kind, name) for name in spectra for kind in model.formations[name].layers]
     photographed = [name for name in spectra if any(name in frame.views for frame in scene.frames)]
+    layers += [Layer("doubt", name) for name in scene.certainties]
     layers += [Layer("error", name) for name in photographed]
     layers += [Layer("photograph", name) for name in photographed]
     return layers
@@ -114,33 +122,54 @@ class LayerRenderer:
         self.photographs = Photographs(scene)
 
     @torch.no_grad()
-    def render(self, layers: Iterable[Layer], view: ViewTensors, *, values: bool = True) -> dict[Layer, LayerImage]:
+    def render(
+        self,
+        layers: Iterable[Layer],
+        view: ViewTensors,
+        *,
+        values: bool = True,
+        temperatures: SceneTemperatures | None = None,
+    ) -> dict[Layer, LayerImage]:
         """Render layers from one view.
 
         Args:
             layers: Which ones.
             view: Camera and pose, on the model's device.
             values: Also the values behind pseudo-colours, which takes a while; without, such a layer has its colours.
+            temperatures: How temperatures are recalculated; None: they are not.
 
         Returns:
             The layers.
         """
+        shown = _Temperatures(temperatures or SceneTemperatures(self.scene.model, self.scene.scales), view)
         scene, wanted = self.scene, list(dict.fromkeys(layers))
         from_model = {layer.spectrum for layer in wanted if layer.kind not in _OTHERS}
         rendered = RenderedFrame()
         if from_model:
             rendered = scene.model.render(dict.fromkeys(from_model, view), sh_degree=scene.sh_degree)
-        return {layer: self._layer(layer, view, rendered, values) for layer in wanted}
+        return {layer: self._layer(layer, view, rendered, values, shown) for layer in wanted}
 
-    def _layer(self, layer: Layer, view: ViewTensors, rendered: RenderedFrame, values: bool) -> LayerImage:
+    def _layer(
+        self, layer: Layer, view: ViewTensors, rendered: RenderedFrame, values: bool, shown: "_Temperatures"
+    ) -> LayerImage:
         name, scale = layer.spectrum, self.scene.scales[layer.spectrum]
         if layer.kind == "image":
-            return image_layer(layer, rendered.images[name], scale, values=values)
+            span = self.scene.display_ranges.get(name)
+            return image_layer(layer, rendered.images[name], scale, values=values, temperatures=shown, shown=span)
         if layer.kind == "depth":
             model = self.scene.model
             depth = model.placement.unit * model.render_depth(name, view)
             field = torch.where(depth > 0, depth, torch.nan).cpu().numpy()
             return LayerImage(layer, field, None, display_palette("turbo"), None, "world units", "depth", 3)
+        if layer.kind == "doubt":
+            sure = self.how_sure(Layer("image", name), view)
+            field = np.full((view.height, view.width), np.nan) if sure is None else sure.half_width
+            doubted = None if sure is None else sure.doubts == 0
+            reasons = () if sure is None else tuple(text for bit, text in DOUBTS.items() if (sure.doubts & bit).any())
+            unit = unit_label(scale.measured_unit or "")
+            shown_field, inferno = field.astype(np.float32), display_palette("inferno")
+            said = tuple(f"hatched, not to be read: {reason}" for reason in reasons)
+            return LayerImage(layer, shown_field, None, inferno, None, unit, "±", changed=doubted, reasons=said)
         if layer.kind == "opacity":
             field = rendered.alphas[name][..., 0].cpu().numpy()
             return LayerImage(layer, field, None, display_palette("white hot"), (0.0, 1.0), "", "opacity", 3)
@@ -156,21 +185,30 @@ class LayerRenderer:
             return LayerImage(layer, field, None, display_palette("white hot"), (0.0, 1.0), "", layer.kind, 3)
         photograph = self.photographs.nearest(name, view)
         if layer.kind == "photograph":
-            return image_layer(layer, torch.nan_to_num(photograph.image), scale, values=values, valid=photograph.valid)
-        return self._error(layer, rendered.images[name].clamp(0, 1), photograph.image, scale)
+            taken, valid = torch.nan_to_num(photograph.image), photograph.valid
+            span = self.scene.display_ranges.get(name)
+            return image_layer(layer, taken, scale, values=values, valid=valid, temperatures=shown, shown=span)
+        return self._error(layer, rendered.images[name].clamp(0, 1), photograph.image, scale, shown)
 
-    def _error(self, layer: Layer, image: Tensor, photograph: Tensor, scale: PixelScale) -> LayerImage:
+    def _error(
+        self, layer: Layer, image: Tensor, photograph: Tensor, scale: PixelScale, shown: "_Temperatures"
+    ) -> LayerImage:
         """Absolute difference of the image and the nearest photograph, in the unit that the images have."""
         palette = display_palette("inferno")
         if scale.measured_unit is None or scale.range is None:
             field = (image - photograph).abs().mean(dim=-1).cpu().numpy()
             return LayerImage(layer, field, None, palette, (0.0, LARGEST_ERROR), "", "error", 3)
         hidden = photograph.isnan().any(dim=-1)
-        seen = pixel_intensity(torch.nan_to_num(photograph), scale)
-        error = (scale.value(pixel_intensity(image, scale)) - scale.value(seen)).abs()
+        seen = shown.of(layer.spectrum, scale.value(pixel_intensity(torch.nan_to_num(photograph), scale)))
+        made = shown.of(layer.spectrum, scale.value(pixel_intensity(image, scale)))
+        error = (made.values - seen.values).abs()
         field = torch.where(hidden, torch.nan, error).cpu().numpy()
-        largest = LARGEST_MEASURED_ERROR * (scale.range[1] - scale.range[0])
-        return LayerImage(layer, field, None, palette, (0.0, largest), unit_label(scale.measured_unit), "error")
+        low, high = self.scene.display_ranges.get(layer.spectrum) or scale.range
+        largest = LARGEST_MEASURED_ERROR * (high - low)
+        unit = unit_label(scale.measured_unit)
+        return LayerImage(
+            layer, field, None, palette, (0.0, largest), unit, "error", changed=made.changed, reasons=made.reasons
+        )
 
     def _offset(self, name: str, view: ViewTensors) -> Tensor:
         """Mean opacity offset logit α_s - logit α of the Gaussians that either spectrum sees, [H, W]; NaN: none."""
@@ -183,6 +221,20 @@ class LayerRenderer:
         image, alpha, _ = render_view(gaussians, offsets[:, None].contiguous(), largest, model.seen(view), how)
         return torch.where(alpha > 1e-3, image / alpha.clamp(min=1e-3), torch.nan)[..., 0]
 
+    @torch.no_grad()
+    def how_sure(self, layer: Layer, view: ViewTensors) -> Sure | None:
+        """How sure the values of an image are; None where nobody knows.
+
+        Args:
+            layer: The image.
+            view: From where it is rendered.
+        """
+        certainty = self.scene.certainties.get(layer.spectrum) if layer.kind == "image" else None
+        if certainty is None:
+            return None
+        field = self.render([layer], view)[layer].field  # not recalculated: images are compared with images
+        return None if field is None else certainty.of_view(view, field)
+
     @cached_property
     def features_basis(self) -> "FeatureColors":
         """What colours features have; chosen when it is first asked for, and held from then on."""
@@ -190,8 +242,34 @@ class LayerRenderer:
         return FeatureColors.of(gaussians.expanded(gaussians.features), gaussians.largest_opacities)
 
 
+class _Temperatures:
+    """Recalculated values of one view, whose depths and labels are looked up once.
+
+    Args:
+        scene: How temperatures are recalculated.
+        view: The view.
+    """
+
+    def __init__(self, scene: SceneTemperatures, view: ViewTensors) -> None:
+        self.scene, self._view = scene, view
+        self._around: dict[str, Surroundings | None] = {}
+
+    def of(self, spectrum: str, values: Tensor) -> Values:
+        """Values [H, W] of a spectrum, as they are asked for."""
+        if spectrum not in self._around:
+            self._around[spectrum] = self.scene.surroundings(spectrum, self._view)
+        return self.scene.recalculated(spectrum, values, self._around[spectrum])
+
+
 def image_layer(
-    layer: Layer, image: Tensor, scale: PixelScale, *, values: bool, valid: Tensor | None = None
+    layer: Layer,
+    image: Tensor,
+    scale: PixelScale,
+    *,
+    values: bool,
+    valid: Tensor | None = None,
+    temperatures: _Temperatures | None = None,
+    shown: tuple[float, float] | None = None,
 ) -> LayerImage:
     """An image of a spectrum: colours of a photograph, else values, in the unit that metrics.json's errors have.
 
@@ -201,22 +279,30 @@ def image_layer(
         scale: What its pixel values mean.
         values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
+        temperatures: How temperatures are recalculated; None: they are not.
+        shown: Values at the palette's ends; None: those that 0 and 1 stand for.
     """
     image, measured = image.clamp(0, 1), scale.measured_unit
-    span = scale.range if measured is not None and scale.range is not None else (0.0, 1.0)
+    span = (shown or scale.range) if measured is not None and scale.range is not None else (0.0, 1.0)
     unit = "" if measured is None else unit_label(measured)
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3
-    if scale.kind == "photograph" or (scale.kind == "color" and not values):
+    recalculates = temperatures is not None and temperatures.scene.recalculates(layer.spectrum)
+    if scale.kind == "photograph" or (scale.kind == "color" and not values and not recalculates):
         colors = _bytes(image if valid is None else torch.where(valid[..., None], image, 0.0))
         if scale.kind == "photograph":
             return LayerImage(layer, None, colors, scale.palette, None)
         return LayerImage(layer, None, colors, scale.palette, span, unit, quantity, decimals)
     intensity = pixel_intensity(image, scale)  # evaluation.held_out.RenderedView.intensity, whose errors are the MAE
-    field = intensity if measured is None else scale.value(intensity)
-    if valid is not None:
-        field = torch.where(valid, field, torch.nan)
-    return LayerImage(layer, field.cpu().numpy(), None, scale.palette, span, unit, quantity, decimals)
+    made = Values(intensity if measured is None else scale.value(intensity))
+    if temperatures is not None and recalculates:
+        made = temperatures.of(layer.spectrum, made.values)
+        span = temperatures.scene.shown_scale(layer.spectrum).range or span
+    field = made.values if valid is None else torch.where(valid, made.values, torch.nan)
+    seen = field.cpu().numpy()
+    return LayerImage(
+        layer, seen, None, scale.palette, span, unit, quantity, decimals, changed=made.changed, reasons=made.reasons
+    )
 
 
 def _bytes(colors: Tensor) -> Image8:

@@ -11,13 +11,13 @@ HEIGHT = 190
 """Of the colour bar [px]."""
 
 
-def legend_html(title: str, bar: tuple[Palette, float, float, str] | None, below: str = "") -> str:
+def legend_html(title: str, bar: tuple[Palette, float, float, str] | None, *below: str) -> str:
     """What stands in the lower left corner.
 
     Args:
         title: What is seen.
         bar: Palette, values at its ends and their unit; None: no colour bar.
-        below: A line below it.
+        *below: Lines below it.
 
     Returns:
         HTML; texts are escaped.
@@ -39,6 +39,5 @@ def legend_html(title: str, bar: tuple[Palette, float, float, str] | None, below
             f'border-radius:3px;background:linear-gradient(to top, {gradient})">{marks}</div>'
         )
     parts.append(f'<div style="margin-top:12px;font-weight:600;font-size:14px">{html.escape(title)}</div>')
-    if below:
-        parts.append(f'<div style="opacity:.85">{html.escape(below)}</div>')
+    parts += [f'<div style="opacity:.85">{html.escape(line)}</div>' for line in below]
     return "".join(parts)

@@ -1,23 +1,30 @@
 """From what a user names to a scene: a run, a checkpoint or a PLY file."""
 
+from collections.abc import Callable
 from pathlib import Path
 
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run, load_run_of_checkpoint
 from thermosplat.runs.devices import choose_device
+from thermosplat.spectra import CELSIUS
+from thermosplat.thermography.measurements_file import FOLDER
 from thermosplat.viewer.splat_file import open_splats
 from thermosplat.viewer.viewed_scene import ViewedScene
-
-FOLDER = "measurements"
-"""Of a run, where a viewer saves files."""
 
 OTHER_FORMATS = (".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
 """Endings of Gaussians' other files."""
 
 
 def open_scene(
-    named: str, *, step: int | None = None, data: str | None = None, device: str = "auto"
+    named: str,
+    *,
+    step: int | None = None,
+    data: str | None = None,
+    device: str = "auto",
+    settings: TemperatureSettings | None = None,
+    scale_of: Callable[[Capture | None], float | None] = lambda capture: None,
 ) -> tuple[ViewedScene, Path, list[str]]:
     """What a user wants to look at.
 
@@ -26,6 +33,8 @@ def open_scene(
         step: Which checkpoint of a run; None: the last.
         data: Where the capture lies now; None: where it lay.
         device: As ``--device``.
+        settings: What temperatures are recalculated with at first.
+        scale_of: Length of a world unit of a capture [m], where it is known.
 
     Returns:
         The scene; the folder for measurements; lines to tell the user.
@@ -34,7 +43,10 @@ def open_scene(
         UserError: There is no such thing, or it cannot be read.
     """
     path = Path(named).expanduser()
+    settings = settings or TemperatureSettings()
     if path.suffix.lower() == ".ply":
+        if settings.any_given:
+            raise UserError(f"{path} has colours alone, so no temperature can be recalculated.", "Give the run.")
         splats, notes = open_splats(path, choose_device(device))
         return splats, path.parent / f"{path.stem}_{FOLDER}", notes
     if path.suffix.lower() in OTHER_FORMATS:
@@ -49,7 +61,13 @@ def open_scene(
     capture, more = _photographs(run, data)
     scales = dict(run.scales)
     name = run.directory.path.resolve().name
-    scene = ViewedScene(f"{name}, step {run.step:,}", run.model, run.sh_degree, scales, run.device, capture)
+    temperatures = None
+    if settings.any_given or any(scale.measured_unit == CELSIUS for scale in scales.values()):
+        temperatures = run.temperatures(settings, capture=capture, metres_per_unit=scale_of(capture))
+        more += temperatures.notes
+    title = f"{name}, step {run.step:,}"
+    sure = {} if capture is None else run.certainties(capture)
+    scene = ViewedScene(title, run.model, run.sh_degree, scales, run.device, capture, temperatures, sure)
     return scene, run.directory.path / FOLDER, [*run.notes, *more]
 
 

@@ -29,7 +29,12 @@ def state_html(key: str, version: int, session: ViewSession, shown: Shown | None
             title = f"{wish.first.label} + {wish.second.label}"
         if wish.over:
             title = f"photograph over {title}"
-        legend = legend_html(title, session.legend(shown), "" if shown.full else "moving")
+        below = ["" if shown.full else "moving"]
+        if any(image.changed is not None for image in shown.layers.values()):
+            reasons = [reason for image in shown.layers.values() for reason in image.reasons]
+            below += [session.temperatures.text, *dict.fromkeys(reasons)]
+            below += ["hatched: not recalculated"] if reasons and session.temperatures.text else []
+        legend = legend_html(title, session.legend(shown), *filter(None, below))
         size = f"{shown.picture.shape[1]}x{shown.picture.shape[0]}"
     return (
         f'<div id="thermosplat-state" style="display:none" data-key="{html.escape(key)}" '

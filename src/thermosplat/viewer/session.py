@@ -1,24 +1,28 @@
 """One viewer's eyes: what it looks at, the picture it sees, what it measures there. It knows nothing of browsers."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.errors import UserError
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.pictures.image_display import Image8
 from thermosplat.thermal.radiometry import Palette
+from thermosplat.thermography.measurement_book import MeasurementBook
+from thermosplat.thermography.measurements import Definition, Measurement, Standpoint, measure, with_unit
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
+from thermosplat.thermography.shapes import Shape
 from thermosplat.viewer.display import Comparison, Display, compared
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer
-from thermosplat.viewer.measurements import Measurement, Pixel, Shape, marked_picture, measure, value_at, with_unit
+from thermosplat.viewer.measurements import Mark, Pixel, marked_picture, value_at
+from thermosplat.viewer.measuring import Measurer, seen_layer
 from thermosplat.viewer.turns import Turns, ViewingEnded
-
-MOST_MEASUREMENTS = 500
-"""Of one viewer: more make the page slow."""
 
 
 @dataclass(frozen=True)
@@ -84,18 +88,25 @@ class ViewSession:
     turns: Turns
     wish: Wish
     displays: dict[tuple[str, str], Display] = field(default_factory=dict)
-    measurements: list[Measurement] = field(default_factory=list)
+    book: MeasurementBook = field(default_factory=MeasurementBook)
+    """What was measured; tabs share it."""
     shown: Shown | None = None
     """The newest picture."""
     gone: threading.Event = field(default_factory=threading.Event)
     """Set when nobody looks any more: what is rendered for this viewer ends."""
 
+    temperatures: SceneTemperatures = field(init=False)
+    """How measured values are made, recalculated if the viewer wants that."""
+
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
+        self.temperatures = self.renderer.scene.temperatures
 
     def aside(self) -> "ViewSession":
         """A viewer of its own that sees the same, for pictures of other places and sizes; it leaves with this one."""
-        return replace(self, displays=dict(self.displays), measurements=list(self.measurements))
+        other = replace(self, displays=dict(self.displays))
+        other.temperatures = self.temperatures
+        return other
 
     # ---- what is seen ------------------------------------------------------------------------------------------------
 
@@ -140,6 +151,11 @@ class ViewSession:
             self.shown = shown
         return shown
 
+    def recalculate(self, settings: TemperatureSettings) -> None:
+        """Show and measure temperatures with other settings from now on."""
+        self.temperatures = self.temperatures.asking(settings)
+        self.forget_picture()
+
     def forget_picture(self) -> None:
         """Render anew next time: the model has changed."""
         with self._lock:
@@ -154,12 +170,15 @@ class ViewSession:
         values: bool = True,
         unwanted: Callable[[], bool] = bool,
     ) -> dict[Layer, LayerImage]:
+        temperatures = self.temperatures
+
         def render() -> dict[Layer, LayerImage]:
             if self.gone.is_set():
                 raise ViewingEnded
             if unwanted():
                 raise Unwanted
-            return self.renderer.render(layers, self._tensors(view, width, height), values=values)
+            tensors = self._tensors(view, width, height)
+            return self.renderer.render(layers, tensors, values=values, temperatures=temperatures)
 
         rendered = self.turns.run(render)
         if unwanted():
@@ -181,6 +200,8 @@ class ViewSession:
         }
 
     def _needs_values(self, layer: Layer) -> bool:
+        if layer.kind in ("image", "photograph") and self.temperatures.recalculates(layer.spectrum):
+            return True
         return self.display(layer).needs_values(self.renderer.scene.scales[layer.spectrum].palette)
 
     def _picture(self, wish: Wish, layers: dict[Layer, LayerImage]) -> Image8:
@@ -214,62 +235,101 @@ class ViewSession:
         if image is None or value is None:
             return None
         what = "" if image.unit or not image.quantity else f"{image.quantity} "
-        return value, f"{what}{with_unit(value, image.unit, image.decimals)}"
+        return value, f"{what}{with_unit(value, image.unit, image.decimals)}{recalculated_text(image, x, y)}"
+
+    @property
+    def measurements(self) -> tuple[Measurement, ...]:
+        """What was measured, in this tab or another one."""
+        return self.book.pages.measurements
+
+    @property
+    def metres_per_unit(self) -> float | None:
+        """Length of a world unit [m]: as a measured line says, else as the capture does; None: nobody knows."""
+        return self.book.pages.metres_per_unit or self.temperatures.metres_per_unit
 
     def measure(self, shape: Shape, points: Sequence[Pixel], shown: Shown | None = None) -> Measurement | None:
         """Measure the layer that a picture at rest shows at the first point, and keep the measurement.
 
         Args:
             shape: Of what.
-            points: As ``measurements.measure`` takes them.
+            points: Its places, in shares of width and height (``shapes.number_of_points``).
             shown: The picture; None: the newest.
 
         Returns:
-            None where there is nothing to measure, and of one too many.
+            None where there is nothing to measure.
+
+        Raises:
+            UserError: There are too many measurements.
         """
         shown = shown or self.shown
         image = None if shown is None or not shown.full else shown.layer_at(points[0][0])
-        made = None if image is None else measure(image, shape, points, "")
-        if shown is None or made is None:
+        if shown is None or image is None or image.field is None:
             return None
-        made = replace(made, points=self._scene_points(shown, made), view=shown.view.name)
-        letter = {"spot": "S", "line": "L", "area": "A"}[shape]
-        with self._lock:  # the number last: another one may have been measured while the depth was rendered
-            number = 1 + max((int(m.name[1:]) for m in self.measurements if m.name[0] == letter), default=0)
-            made = replace(made, name=f"{letter}{number}")
-            if len(self.measurements) >= MOST_MEASUREMENTS:
-                return None
-            self.measurements.append(made)
-        return made
+        width, height = image.size
+        places = tuple((min(max(x, 0.0), 1.0) * width, min(max(y, 0.0), 1.0) * height) for x, y in points)
+        world = shown.view.in_world(self.renderer.scene.model.placement)
+        standpoint = Standpoint(world.viewmat, world.fov_y, width, height, world.name)
+        definition = Definition("", shape, image.layer.kind, image.layer.spectrum, standpoint, places)
+        depth = Layer("depth", image.layer.spectrum)
+        depths = self._rendered([depth], shown.view, width, height)[depth]
+        tensors = self._tensors(shown.view, width, height)
+        sure = self.turns.run(lambda: self.renderer.how_sure(image.layer, tensors))
+        numbers = measure(definition, seen_layer(image, depths, self.temperatures, sure))
+        return None if numbers is None else self.book.add(Measurement(definition, numbers))
 
-    def _scene_points(self, shown: Shown, made: Measurement) -> tuple[tuple[float, float, float], ...]:
-        """Points of the scene under the outline of a measurement; () where one of them sees nothing."""
-        size = next(iter(shown.layers.values())).size
-        K = self._tensors(shown.view, *size).K.cpu().numpy().astype(np.float64)
-        depth_layer = Layer("depth", shown.wish.first.spectrum)
-        depth = self._rendered([depth_layer], shown.view, *size)[depth_layer]
-        pose = np.linalg.inv(shown.view.viewmat)
-        unit = self.renderer.scene.model.placement.unit
-        points: list[tuple[float, float, float]] = []
-        for x, y in outline(made):
-            distance = value_at(depth, x, y)
-            if distance is None:
-                return ()
-            ray = np.linalg.inv(K) @ np.array([x * size[0], y * size[1], 1.0])
-            px, py, pz = pose[:3, :3] @ (ray * (distance / unit)) + pose[:3, 3]
-            points.append((float(px), float(py), float(pz)))
-        return tuple(points)
+    def measure_again(self, name: str, **changes: Any) -> None:
+        """Give a measurement another alarm or settings of its own, and measure it with them.
+
+        Args:
+            name: Which.
+            **changes: Fields of ``Definition``.
+
+        Raises:
+            UserError: There is no such one, or no such layer any more.
+        """
+        made = self.book.pages.by_name.get(name)
+        if made is not None:
+            definition = replace(made.definition, **changes)
+            numbers = self.turns.run(lambda: Measurer(self.renderer, self.temperatures).measure(definition))
+            if numbers is not None:
+                self.book.replace(name, Measurement(definition, numbers))
+
+    def renumber(self) -> None:
+        """Measure everything again: temperatures are recalculated otherwise than before."""
+        measurer, again = Measurer(self.renderer, self.temperatures), []
+        for made in self.measurements:
+            try:
+                numbers = self.turns.run(lambda one=made: measurer.measure(one.definition))  # type: ignore[misc]
+            except UserError:  # of a layer that is not there
+                continue
+            if numbers is not None:
+                again.append(Measurement(made.definition, numbers))
+        recalculation = self.temperatures.recalculation
+        self.book.renumber(again, {} if recalculation is None else recalculation.settings.given)
 
     def marked(self, shown: Shown) -> Image8:
         """A picture with the marks of the measurements, and its legend."""
         width, height = shown.picture.shape[1], shown.picture.shape[0]
         view = self._tensors(shown.view, width, height)
         viewmat, K = (tensor.cpu().numpy().astype(np.float64) for tensor in (view.viewmat, view.K))
-        marks = [
-            (made, places)
-            for made in self.measurements
-            if (places := _projected(made.points, viewmat, K, width, height)) is not None
-        ]
+        placement = self.renderer.scene.model.placement
+
+        def places(points: Sequence[Any]) -> list[Pixel] | None:
+            if not points or any(point is None for point in points):
+                return None
+            return _projected(placement.to_scene(np.array(points)), viewmat, K, width, height)
+
+        def place(point: Any) -> Pixel | None:
+            found = places([point])
+            return None if found is None else found[0]
+
+        marks = []
+        for made in self.measurements:
+            found, shape = made.numbers, made.definition.shape
+            outline = places(found.points)
+            if outline is not None:
+                ends = (None, None) if shape == "spot" else (place(found.minimum_point), place(found.maximum_point))
+                marks.append(Mark(f"{made.name} {made.mean_text}", shape, tuple(outline), *ends))
         return marked_picture(shown.picture, marks, self.legend(shown))
 
     def legend(self, shown: Shown) -> tuple[Palette, float, float, str] | None:
@@ -281,21 +341,28 @@ class ViewSession:
         return None
 
 
-def outline(made: Measurement) -> list[Pixel]:
-    """Corners of a measurement: its points, or the four corners of an area."""
-    if made.shape != "area":
-        return list(made.points_px)
-    (x0, y0), (x1, y1) = made.points_px
-    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+def recalculated_text(image: LayerImage, x: float, y: float) -> str:
+    """Whether the value under a point is recalculated, for people; "" where none of the picture's is. In the layer of
+    how sure values are: whether they may be read."""
+    if image.changed is None:
+        return ""
+    height, width = image.changed.shape
+    done = image.changed[min(int(y * height), height - 1), min(int(x * width), width - 1)]
+    if image.layer.kind == "doubt":
+        return "" if done else " (not to be read)"
+    return " (recalculated)" if done else " (not recalculated)"
 
 
-def start_wish(layers: Sequence[Layer]) -> Wish:
-    """What is seen first: the first spectrum's image, ready to be compared with the next one's.
+def start_wish(layers: Sequence[Layer], measured: Collection[str] = ()) -> Wish:
+    """What is seen first: an image with temperatures, ready to be compared with another spectrum's.
 
     Args:
         layers: Those that there are (``available_layers``).
+        measured: Spectra that have temperatures; without any the first spectrum's image is seen.
     """
-    return Wish(layers[0], layers[1] if len(layers) > 1 else layers[0])
+    images = [layer for layer in layers if layer.kind == "image"] or list(layers[:1])
+    first = next((layer for layer in images if layer.spectrum in measured), images[0])
+    return Wish(first, next((layer for layer in images if layer != first), first))
 
 
 def layer_labels(layers: Sequence[Layer]) -> dict[str, Layer]:
@@ -320,12 +387,10 @@ def _valid(image: LayerImage) -> NDArray[np.bool_]:
 
 
 def _projected(
-    points: Sequence[tuple[float, float, float]], viewmat: NDArray[np.floating], K: NDArray[np.floating], w: int, h: int
+    points: NDArray[np.float64], viewmat: NDArray[np.floating], K: NDArray[np.floating], w: int, h: int
 ) -> list[Pixel] | None:
-    """Where points of the scene lie in a picture, in shares of its size; None if one lies behind or there is none."""
-    if not points:
-        return None
-    seen = np.asarray(points) @ viewmat[:3, :3].T + viewmat[:3, 3]
+    """Where points of the scene [P, 3] lie in a picture, in shares of its size; None if one lies behind."""
+    seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     if (seen[:, 2] <= 1e-6).any():
         return None
     pixels = seen @ K.T

@@ -6,6 +6,7 @@ from thermosplat.pictures.display_palettes import DISPLAY_PALETTES
 from thermosplat.viewer.display import OWN_PALETTE, picture_range
 from thermosplat.viewer.layers import Layer, available_layers
 from thermosplat.viewer.session import layer_labels
+from thermosplat.viewer.temperature_panel import TemperaturePanel
 
 if TYPE_CHECKING:
     from thermosplat.viewer.visitor import Visitor
@@ -40,6 +41,7 @@ class ViewPanel:
             self.threshold = gui.add_checkbox("Only values between", False)
             self.least = gui.add_number("From", 0.0, step=0.01)
             self.most = gui.add_number("To", 1.0, step=0.01)
+        self.temperatures = TemperaturePanel(visitor)
         self.size = gui.add_dropdown(
             "At rest", tuple(_SIZES), hint="Size of the picture when the camera rests, of the window's"
         )
@@ -84,7 +86,14 @@ class ViewPanel:
             control.on_update(heard(self._apply))
 
     def _choose(self, **changes: Layer) -> None:
+        before = self.visitor.session.wish
+        if changes.get("first") == before.second:  # two layers are compared, never one with itself
+            changes["second"] = before.first
+        elif changes.get("second") == before.first:
+            changes["first"] = before.second
         self.visitor.wish(**changes)
+        wish = self.visitor.session.wish
+        self.first.value, self.second.value = wish.first.label, wish.second.label
         self._fill()
 
     def _compare(self) -> None:
@@ -129,6 +138,7 @@ class ViewPanel:
         """From the display of the layer to the controls."""
         display = self.visitor.session.display(self.layer)
         self.values.visible = self._has_values(self.layer)
+        self.temperatures.show(self.layer.spectrum)
         low, high = display.locked
         if display.range_mode != "locked":
             low, high = self._natural_range()

@@ -1,6 +1,7 @@
 """What a viewer shows: a model with the meaning of its pixel values, and the photographs that it was made from."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,9 @@ from thermosplat.novel_views.bookmarks import Bookmark, fov_camera
 from thermosplat.novel_views.camera_paths import focus_point, look_to
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.certainty import Certainty
+from thermosplat.thermography.display_range import display_range
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 FOV_Y = 50.0
 """Vertical field of view [degrees] where no photograph states one."""
@@ -35,6 +39,22 @@ class ViewedScene:
     """Where the model is."""
     capture: Capture | None = None
     """Its photographs; None where there are none."""
+    recalculable: SceneTemperatures | None = None
+    """How its temperatures can be recalculated; None: they cannot."""
+
+    certainties: Mapping[str, Certainty] = field(default_factory=dict)
+    """How sure the values of a spectrum are, by its name."""
+
+    @cached_property
+    def display_ranges(self) -> dict[str, tuple[float, float] | None]:
+        """Values at the palettes' ends by spectrum; None of one that keeps its scale's."""
+        capture = self.capture
+        return {} if capture is None else {name: display_range(capture, name) for name in self.scales}
+
+    @property
+    def temperatures(self) -> SceneTemperatures:
+        """How measured values are made, to begin with."""
+        return self.recalculable or SceneTemperatures(self.model, self.scales)
 
     @property
     def frames(self) -> tuple[Frame, ...]:
@@ -115,9 +135,3 @@ def frame_bookmark(frame: Frame, spectrum: str) -> Bookmark:
     view = frame.views[spectrum]
     fov = float(np.degrees(2 * np.arctan(view.camera.height / (2 * view.camera.fy))))
     return Bookmark(frame.name, view.viewmat, fov)
-
-
-def resized(view: ViewTensors, width: int, height: int) -> ViewTensors:
-    """The same camera at another size of its image [px]."""
-    factors = torch.tensor([[width / view.width], [height / view.height], [1.0]], device=view.K.device)
-    return replace(view, K=view.K * factors, width=width, height=height, image=None, intensity=None, values=None)

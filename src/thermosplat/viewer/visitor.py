@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.novel_views.bookmarks import Bookmark
 from thermosplat.novel_views.camera_paths import interpolated_path
 from thermosplat.pictures.image_display import write_png
@@ -103,6 +104,8 @@ class Visitor:
     def leave(self) -> None:
         """The tab was closed: let everything end that is made for it. Returns at once."""
         self.session.gone.set()
+        for panel in self._panels_of(MeasurePanel):
+            panel.leave()
         self._errands.end()
         self.wake()
         self.client.camera._state.camera_cb.clear()  # viser keeps the handle for a while
@@ -188,6 +191,17 @@ class Visitor:
         self.session.wish = replace(self.session.wish, **changes)
         self.wake()
 
+    def recalculate(self, settings: TemperatureSettings) -> None:
+        """Show temperatures with other settings, and measure again what was measured."""
+        self.session.recalculate(settings)
+        self.wake()
+        if self.session.measurements:
+            self.session.renumber()
+
+    def soon(self, work: Errand) -> None:
+        """Do something after what is asked for already, in the thread of the controls."""
+        self._errands.add(work)
+
     def set_share(self, share: float) -> None:
         """Move the edge of the wipe, or change the blend."""
         self.wish(share=share)
@@ -250,7 +264,7 @@ class Visitor:
             marked = session.marked(session.render(view, width, height))
             target = self.shared.new_file("measurements" if with_table else "view")
             if with_table:
-                table, image = save_measurements(target.parent, target.name, session.measurements, marked)
+                table, image = save_measurements(target.parent, target.name, session.book.pages, marked)
                 self.tell("Saved", f"{table} and {image.name}")
             else:
                 write_png(target.with_suffix(".png"), marked)

@@ -15,6 +15,7 @@ from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 MOST_PIXELS = 1 << 28
 """Of a map: 1 GiB per band."""
@@ -112,7 +113,13 @@ class MapGrid:
 
 @torch.no_grad()
 def render_map(
-    model: SceneModel, name: str, scale: PixelScale, grid: MapGrid, *, sh_degree: int
+    model: SceneModel,
+    name: str,
+    scale: PixelScale,
+    grid: MapGrid,
+    *,
+    sh_degree: int,
+    temperatures: SceneTemperatures | None = None,
 ) -> NDArray[np.float32]:
     """A spectrum from above.
 
@@ -122,19 +129,26 @@ def render_map(
         scale: What its pixel values mean.
         grid: The map.
         sh_degree: Highest SH degree in use.
+        temperatures: How temperatures are recalculated; None: they are not. The path through the air is then that from
+            the map's top.
 
     Returns:
         [B, H, W]: colours in [0, 1] of a photograph, else one band: measured values, or intensities in [0, 1] where
-        nothing is measured. NaN where Gaussians cover less than 90%.
+        nothing is measured. NaN where Gaussians cover less than 90%. Recalculated temperatures have a second band, 1
+        where they were.
     """
-    bands = 3 if scale.kind == "photograph" else 1
+    recalculated = temperatures is not None and temperatures.recalculates(name)
+    bands = 3 if scale.kind == "photograph" else 2 if recalculated else 1
     picture = np.full((bands, grid.height, grid.width), np.nan, np.float32)
     for left, upper, width, height in grid.tiles():
-        rendered = model.render(
-            {name: grid.view(left, upper, width, height, model.background.device)}, sh_degree=sh_degree
-        )
+        view = grid.view(left, upper, width, height, model.background.device)
+        rendered = model.render({name: view}, sh_degree=sh_degree)
         image = rendered.images[name].clamp(0, 1)
-        if bands == 1:
+        if temperatures is not None and recalculated:
+            made = temperatures.of_image(name, image, view)
+            changed = torch.zeros_like(made.values) if made.changed is None else torch.as_tensor(made.changed)
+            image = torch.stack([made.values, changed.to(made.values)], dim=-1)
+        elif bands == 1:
             intensity = pixel_intensity(image, scale)
             image = (intensity if scale.measured_unit is None else scale.value(intensity))[..., None]
         seen = (rendered.alphas[name] >= LEAST_COVER).expand_as(image).to(image.device)
@@ -143,7 +157,9 @@ def render_map(
     return picture
 
 
-def write_map(path: Path, picture: NDArray[np.float32], name: str, scale: PixelScale, grid: MapGrid) -> None:
+def write_map(
+    path: Path, picture: NDArray[np.float32], name: str, scale: PixelScale, grid: MapGrid, *, recalculated: str = ""
+) -> None:
     """Write what :func:`render_map` rendered as GeoTIFF.
 
     Args:
@@ -152,11 +168,14 @@ def write_map(path: Path, picture: NDArray[np.float32], name: str, scale: PixelS
         name: The spectrum.
         scale: What its pixel values mean.
         grid: The map.
+        recalculated: How temperatures were recalculated (``SceneTemperatures.text``); "": they were not.
 
     Raises:
         UserError: rasterio is not installed.
     """
     unit = scale.measured_unit
+    bands = [f"{name} {unit or 'intensity'}", "recalculated (1: yes)"][: len(picture)]
+    tags = {"SOFTWARE": "thermosplat", "SPECTRUM": name, "FRAME": grid.frame.note}
     write_geotiff(
         path,
         picture,
@@ -164,7 +183,7 @@ def write_map(path: Path, picture: NDArray[np.float32], name: str, scale: PixelS
         north=grid.north,
         pixel=grid.pixel,
         crs=grid.frame.crs,
-        names=["red", "green", "blue"] if len(picture) == 3 else [f"{name} {unit or 'intensity'}"],
+        names=["red", "green", "blue"] if len(picture) == 3 else bands,
         unit=unit,
-        tags={"SOFTWARE": "thermosplat", "SPECTRUM": name, "FRAME": grid.frame.note},
+        tags={**tags, **({"TEMPERATURES": recalculated} if recalculated else {})},
     )

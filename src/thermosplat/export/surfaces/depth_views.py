@@ -12,11 +12,13 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.datasets.placement import Placement
 from thermosplat.export.scene import shown_colors
 from thermosplat.scene.model import SceneModel
-from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 LEAST_COVER = 0.9
 """Pixels that Gaussians cover less have no depth here."""
+RECALCULATED = "recalculated"
+"""In names of values: 1 where temperatures were recalculated."""
 LARGEST_STEP = 0.05
 """Depths that differ from a neighbour's by more than this share lie on an edge, where a pixel shows two surfaces."""
 
@@ -32,12 +34,19 @@ class DepthView:
     colors: Tensor
     """Colours of the spectrum in [0, 1], [H, W, 3]: a photograph's, or through its palette."""
     values: dict[str, Tensor]
-    """Measured values by ``scalar_<spectrum>_<unit>``, [H, W]."""
+    """Measured values by ``scalar_<spectrum>_<unit>``, [H, W]; where temperatures are recalculated, 1 in
+    ``scalar_<spectrum>_recalculated`` says which."""
 
 
 @torch.no_grad()
 def depth_view(
-    model: SceneModel, name: str, view: ViewTensors, scales: Mapping[str, PixelScale], *, sh_degree: int
+    model: SceneModel,
+    name: str,
+    view: ViewTensors,
+    scales: Mapping[str, PixelScale],
+    *,
+    sh_degree: int,
+    temperatures: SceneTemperatures | None = None,
 ) -> DepthView:
     """Render a view.
 
@@ -47,6 +56,7 @@ def depth_view(
         view: Its camera; a distortion of the lens is left out.
         scales: What pixel values mean, by spectrum.
         sh_degree: Highest SH degree in use.
+        temperatures: How temperatures are recalculated; None: they are not.
     """
     pinhole = view.as_pinhole()
     rendered = model.render(dict.fromkeys(model.spectra, pinhole), sh_degree=sh_degree)
@@ -57,8 +67,11 @@ def depth_view(
     for spectrum, image in rendered.images.items():
         unit = scales[spectrum].measured_unit
         if unit is not None:
-            intensity = pixel_intensity(image.clamp(0, 1), scales[spectrum])
-            values[f"scalar_{spectrum}_{unit}"] = scales[spectrum].value(intensity)
+            made = (temperatures or SceneTemperatures(model, scales)).of_image(spectrum, image, pinhole)
+            values[f"scalar_{spectrum}_{unit}"] = made.values
+            if made.changed is not None:
+                changed = torch.as_tensor(made.changed, device=made.values.device)
+                values[f"scalar_{spectrum}_{RECALCULATED}"] = changed.float()
     return DepthView(pinhole, depth, shown_colors(rendered.images[name].clamp(0, 1), scales[name]), values)
 
 
@@ -93,6 +106,7 @@ def depth_points(
     *,
     sh_degree: int,
     most: int = 1_000_000,
+    temperatures: SceneTemperatures | None = None,
 ) -> PointCloud:
     """The surface that a spectrum sees, as points: pixels of the views at their depths.
 
@@ -103,11 +117,12 @@ def depth_points(
         scales: What pixel values mean, by spectrum.
         sh_degree: Highest SH degree in use.
         most: Points at most; each view gives its share, at random.
+        temperatures: As of ``depth_view``.
     """
     generator = torch.Generator().manual_seed(0)
     parts: list[tuple[NDArray[np.float32], NDArray[np.uint8], dict[str, NDArray[np.float32]]]] = []
     for view in views:
-        seen = depth_view(model, name, view, scales, sh_degree=sh_degree)
+        seen = depth_view(model, name, view, scales, sh_degree=sh_degree, temperatures=temperatures)
         rows, columns = (index.cpu() for index in torch.nonzero(seen.depth > 0, as_tuple=True))
         chosen = torch.randperm(len(rows), generator=generator)[: most // len(views)]
         rows, columns = rows[chosen].to(seen.depth.device), columns[chosen].to(seen.depth.device)

@@ -7,6 +7,7 @@ scikit-image's (extra "mesh"). Vertices take the mean colour and value of the vi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from thermosplat.errors import UserError
 from thermosplat.export.surfaces.depth_views import DepthView, PointCloud, depth_view, placed_points
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 TRUNCATION = 4.0
 """Voxels at which distances are cut off."""
@@ -47,6 +49,7 @@ def tsdf_mesh(
     *,
     voxel: float,
     sh_degree: int,
+    temperatures: SceneTemperatures | None = None,
 ) -> Mesh:
     """The mesh of a spectrum.
 
@@ -58,6 +61,7 @@ def tsdf_mesh(
         bounds: Lowest and highest coordinates [world units] of what is meshed, [3] each.
         voxel: Side of a voxel [world units], > 0.
         sh_degree: Highest SH degree in use.
+        temperatures: How temperatures are recalculated; None: they are not.
 
     Raises:
         UserError: scikit-image is missing, there are too many voxels, or no surface lies in the bounds.
@@ -81,7 +85,8 @@ def tsdf_mesh(
             "Give a larger --voxel.",
         )
     shape = tuple(int(count) for count in counts)
-    seen = [depth_view(model, name, view, scales, sh_degree=sh_degree) for view in views]
+    how: dict[str, Any] = {"sh_degree": sh_degree, "temperatures": temperatures}
+    seen = [depth_view(model, name, view, scales, **how) for view in views]
     distance, weight = _fused(seen, low, shape, voxel)
     try:
         known = _known_cells(weight >= _LEAST_VIEWS)

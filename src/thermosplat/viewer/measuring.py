@@ -1,0 +1,183 @@
+"""Measuring without a browser: what the viewer, thermosplat-measure and Python have in common.
+
+run = load_run("results/shed")
+scene, _, _ = open_scene("results/shed")
+pages, definitions = read_book(Path("results/shed/measurements.json"))
+measured = Measurer(LayerRenderer(scene)).again(pages, definitions)
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from thermosplat.config.temperature_settings import TemperatureSettings
+from thermosplat.datasets.frame_tensors import ViewTensors, without_pixels
+from thermosplat.errors import UserError
+from thermosplat.spectra import CELSIUS
+from thermosplat.thermography.certainty import Sure
+from thermosplat.thermography.hot_regions import HotPixels, Region, find_regions
+from thermosplat.thermography.measurement_book import Pages
+from thermosplat.thermography.measurements import Definition, Measurement, Numbers, Seen, Standpoint, measure
+from thermosplat.thermography.reprojection import resized, scene_points
+from thermosplat.thermography.scene_temperatures import SceneTemperatures
+from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer, available_layers
+
+_REGION_WIDTH = 200
+"""Width [px] at which views are searched for regions."""
+_CELLS = 128
+"""Of the grid along the scene's depth: neighbouring pixels of such a view lie in neighbouring cells."""
+
+
+class Measurer:
+    """Measures a scene.
+
+    Args:
+        renderer: Renders its layers.
+        temperatures: How temperatures are recalculated for the whole scene; None: as the scene says.
+    """
+
+    def __init__(self, renderer: LayerRenderer, temperatures: SceneTemperatures | None = None) -> None:
+        self.renderer = renderer
+        self.scene = renderer.scene
+        self.temperatures = temperatures or renderer.scene.temperatures
+
+    def seen(self, definition: Definition) -> Seen:
+        """The layer of a definition, rendered from its standpoint.
+
+        Raises:
+            UserError: The scene has no such layer.
+        """
+        layer = self.layer(definition)
+        depth = Layer("depth", definition.spectrum)
+        view = self.tensors(definition.standpoint)
+        images = self.renderer.render([layer, depth], view, temperatures=self.asked(definition))
+        return seen_layer(images[layer], images[depth], self.asked(definition), self.renderer.how_sure(layer, view))
+
+    def layer(self, definition: Definition) -> Layer:
+        """The layer of a definition.
+
+        Raises:
+            UserError: The scene has no such layer.
+        """
+        layers = available_layers(self.scene)
+        wanted = (definition.layer, definition.spectrum)
+        found = next((layer for layer in layers if (layer.kind, layer.spectrum) == wanted), None)
+        if found is None:
+            raise UserError(
+                f"{definition.name} measures {' of '.join(wanted)}, which the scene does not have.",
+                f"It has {', '.join(dict.fromkeys(f'{layer.kind} of {layer.spectrum}' for layer in layers))}.",
+            )
+        return found
+
+    def asked(self, definition: Definition) -> SceneTemperatures:
+        """How temperatures are recalculated where a definition has settings of its own."""
+        made = self.temperatures
+        if not definition.settings or made.recalculation is None:
+            return made
+        own: dict[str, Any] = dict(definition.settings)
+        return made.asking(TemperatureSettings(**own).over(made.recalculation.settings))
+
+    def measure(self, definition: Definition) -> Numbers | None:
+        """The numbers of a definition; None where no pixel has a value."""
+        return measure(definition, self.seen(definition))
+
+    def again(self, pages: Pages, definitions: Sequence[Definition]) -> Pages:
+        """Pages with the numbers that the scene has now; what has none any more is left out.
+
+        Args:
+            pages: With differences, scale and settings.
+            definitions: What is measured.
+        """
+        measured = [(one, self.measure(one)) for one in definitions]
+        made = tuple(Measurement(one, numbers) for one, numbers in measured if numbers is not None)
+        return replace(pages, measurements=made)
+
+    def tensors(self, standpoint: Standpoint) -> ViewTensors:
+        """A standpoint as it is rendered."""
+        viewmat = self.scene.model.placement.viewmat_to_scene(standpoint.viewmat)
+        return self.scene.view(viewmat, standpoint.fov_y, standpoint.width, standpoint.height)
+
+    @torch.no_grad()
+    def regions(self, spectrum: str, threshold: float, *, colder: bool = False) -> list[tuple[Region, str]]:
+        """Parts of the whole scene above a threshold, with the name of the frame that sees each best.
+
+        Args:
+            spectrum: Which measures something.
+            threshold: In its unit.
+            colder: Parts below it.
+
+        Raises:
+            UserError: There are no photographs to search by.
+        """
+        frames = [frame for frame in self.scene.frames if spectrum in frame.views]
+        if not frames:
+            raise UserError(
+                "Regions are looked for in the views of the capture, which is not at hand.", "--data FOLDER says where."
+            )
+        layer, model = Layer("image", spectrum), self.scene.model
+        found, depths = [], []
+        for frame in frames:
+            taken = without_pixels(frame.views[spectrum], self.scene.device).as_pinhole()
+            factor = min(1.0, _REGION_WIDTH / taken.width)
+            view = resized(taken, max(1, round(factor * taken.width)), max(1, round(factor * taken.height)))
+            field = self.renderer.render([layer], view, temperatures=self.temperatures)[layer].field
+            depth = model.render_depth(spectrum, view)
+            assert field is not None  # noqa: S101  of a spectrum that measures something
+            there = (depth > 0).cpu().numpy()
+            beyond = (field < threshold if colder else field > threshold) & there
+            depths.append(np.median(depth[depth > 0].cpu().numpy()) if there.any() else 0.0)
+            z = depth.cpu().numpy().astype(np.float64)[beyond] * model.placement.unit
+            places = model.placement.to_world(scene_points(view, depth).cpu().numpy()[beyond])
+            areas = z**2 / float(view.K[0, 0] * view.K[1, 1])
+            found.append(HotPixels(places, field[beyond].astype(np.float64), areas))
+        cell = float(np.median(depths)) * model.placement.unit / _CELLS * 2
+        return [
+            (region, frames[region.best_view].name) for region in find_regions(found, max(cell, 1e-9), colder=colder)
+        ]
+
+    def measured_spectrum(self) -> str:
+        """The spectrum whose regions are looked for: the first with temperatures, else with values.
+
+        Raises:
+            UserError: Nothing is measured in the scene.
+        """
+        units = {name: self.scene.scales[name].measured_unit for name in self.scene.model.spectra}
+        for wanted in (lambda unit: unit == CELSIUS, lambda unit: unit is not None):
+            for name, unit in units.items():
+                if wanted(unit):
+                    return name
+        raise UserError("Nothing is measured in this scene: no spectrum has a unit.")
+
+
+def seen_layer(
+    image: LayerImage, depth: LayerImage | None, temperatures: SceneTemperatures, sure: Sure | None = None
+) -> Seen:
+    """A layer as measurements see it.
+
+    Args:
+        image: The layer, of values.
+        depth: The depth of its spectrum from the same view.
+        temperatures: How it was recalculated.
+        sure: How sure its values are.
+
+    Raises:
+        UserError: It is a layer of colours.
+    """
+    if image.field is None:
+        raise UserError(
+            f"{image.layer.label} has colours, and nothing can be measured in it.", "Choose a layer of values."
+        )
+    return Seen(
+        values=image.field,
+        depth=None if depth is None else depth.field,
+        quantity=image.quantity,
+        unit=image.unit,
+        decimals=image.decimals,
+        changed=image.changed,
+        recalculated="" if image.changed is None else temperatures.text,
+        reasons=image.reasons,
+        sure=sure,
+    )

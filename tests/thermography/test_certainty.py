@@ -1,0 +1,107 @@
+"""Intervals that hold what they say, reasons not to read a value, and readings with ±."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from thermosplat.datasets.frame_tensors import view_tensors
+from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, Calibration, Certainty, _noise, _read
+from thermosplat.thermography.measurements import Measurement
+from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
+from thermosplat.viewer.session import Wish
+from viewed_toy import toy_session, viewed_toy
+
+THERMAL = Layer("image", "thermal")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    made = viewed_toy()
+    certainty = Certainty(made.model, made.capture, "thermal", made.scales["thermal"], sh_degree=1, device="cpu")
+    return replace(made, certainties={"thermal": certainty})
+
+
+def test_intervals_hold_their_share_of_the_views_they_are_made_of(scene) -> None:
+    """95 of 100 pixels, however wrong the scene is."""
+    certainty = scene.certainties["thermal"]
+    frames = list(scene.capture.test)
+    made = certainty.calibrated(frames)
+    error, half, _ = certainty.compared(frames[0], made)
+    there = np.isfinite(half)
+    assert np.mean(np.abs(error)[there] <= half[there]) == pytest.approx(0.95, abs=0.02)
+    assert len(made.factors) == len(made.edges) + 1
+
+
+def test_a_calibration_is_kept(scene, tmp_path: Path) -> None:
+    """The next program reads it; a damaged file is made again."""
+    path = tmp_path / "certainty.json"
+    how = {"sh_degree": 1, "device": "cpu", "keep": path}
+    first = Certainty(scene.model, scene.capture, "thermal", scene.scales["thermal"], **how).calibration
+    assert _read(path) == first
+    for damage in ("{", '{"noise": 1}', '{"noise": 1, "drift": 0, "edges": [1], "factors": [1]}'):
+        path.write_text(damage)
+        assert _read(path) is None
+    assert Certainty(scene.model, scene.capture, "thermal", scene.scales["thermal"], **how).calibration == first
+
+
+def test_half_widths_follow_their_bins() -> None:
+    """Small and large s have factors of their own."""
+    made = Calibration(0.1, 0.0, (1.0,), (2.0, 3.0))
+    np.testing.assert_allclose(made.half_width(np.array([0.5, 2.0])), [1.0, 6.0])
+
+
+def test_noise_is_found_beside_structure() -> None:
+    """A picture with edges and 0.05 of noise has noise of 0.05."""
+    x = np.linspace(0, 6, 200)
+    structure = 20 + 5 * np.sin(x)[None] + np.where(x[:, None] > 3, 4.0, 0.0)
+    noisy = structure + 0.05 * np.random.default_rng(0).standard_normal((200, 200))
+    assert _noise(noisy) == pytest.approx(0.05, rel=0.15)
+
+
+def test_what_nobody_saw_is_not_to_be_read(scene) -> None:
+    """From behind the cameras there are too few views of anything, and where nothing is drawn there is no surface."""
+    start = scene.start()
+    turned = start.viewmat.copy()
+    turned[:3] = np.diag([-1.0, 1.0, -1.0]) @ turned[:3]
+    turned[2, 3] = 4.0
+    view = scene.view(turned, 50.0, 24, 18)
+    field = LayerRenderer(scene).render([THERMAL], view)[THERMAL].field
+    doubts = scene.certainties["thermal"].of_view(view, field).doubts
+    nothing = (scene.model.render_depth("thermal", view) <= 0).numpy()
+    assert (doubts[nothing] == NO_SURFACE).all()
+    assert ((doubts[~nothing] & FEW_VIEWS) > 0).any()
+
+
+def test_readings_have_plus_and_minus(scene) -> None:
+    """A spot says ± and why it may not be read; the layer shows the same numbers and hatches the same pixels."""
+    session = toy_session(scene)
+    doubt = Layer("doubt", "thermal")
+    assert doubt in available_layers(scene)
+    session.wish = Wish(THERMAL, doubt)
+    session.render(scene.start(), 24, 18)
+    made = session.measure("spot", [(0.5, 0.5)])
+    assert isinstance(made, Measurement)
+    assert made.numbers.uncertainty > 0
+    assert "±" in made.mean_text
+    assert set(made.numbers.doubts) <= set(DOUBTS.values())
+    view = scene.view(scene.start().viewmat, scene.start().fov_y, 24, 18)
+    layer = LayerRenderer(scene).render([doubt], view)[doubt]
+    assert layer.field[9, 12] == pytest.approx(made.numbers.uncertainty, rel=1e-5)
+    assert layer.changed[9, 12] == (made.numbers.doubted_share == 0)
+    session.wish = Wish(doubt, doubt)
+    shown = session.render(scene.start(), 24, 18)
+    assert shown.layers[doubt].unit == "°C"
+
+
+def test_a_training_view_is_not_compared_with_itself(scene) -> None:
+    """Its own image would make every render look right."""
+    certainty = scene.certainties["thermal"]
+    frame = scene.capture.train[0]
+    view = view_tensors(frame.views["thermal"], None, "cpu")
+    image = scene.model.render({"thermal": view}, sh_degree=1).images["thermal"]
+    with torch.no_grad():
+        s, _ = certainty._evidence(view, np.full(image.shape[:2], 100.0), 0.0, 0.0)
+    assert np.nanmedian(s) > 50  # its neighbours have 10 to 30 °C
