@@ -162,8 +162,8 @@ def measured(options: argparse.Namespace, kind: str, size: tuple[int, int], devi
             free, total = torch.cuda.mem_get_info(device)
             row["reserved_gb"] = torch.cuda.max_memory_reserved(device) / 1e9
             row["in_use_gb"] = (total - free) / 1e9
-        row["offloaded"] = trainer.offloaded
-        if trainer.offloaded != "nothing":
+        row["offloaded"] = trainer.parts.scenes.offloading.kind
+        if trainer.parts.scenes.offloading.kind != "nothing":
             with parts_timed(device) as parts:
                 run_steps(trainer, options.steps)
             row |= {f"{name}_ms": sum(found) / options.steps for name, found in parts.items()}

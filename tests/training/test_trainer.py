@@ -75,7 +75,7 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainCon
     first = toy_trainer(tmp_path / "halves", config, capture)
     while first.step < 6:
         first._train_step()
-    first._save()
+    first.save()
     second = Trainer.resume(config, capture, RunDirectory.open(tmp_path / "halves"))
     assert second.step == 6
     assert_same_state(state_tensors(second), state_tensors(first))

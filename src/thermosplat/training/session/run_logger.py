@@ -5,6 +5,7 @@ and keeps the values of the last line; on the CPU, where reading costs nothing, 
 leaves a GPU without work, so the line itself, a few milliseconds, is written some steps later.
 """
 
+import io
 import json
 import math
 import resource
@@ -21,6 +22,7 @@ from rich.live import Live
 from rich.text import Text
 from torch import Tensor
 
+from thermosplat.config import TrainConfig
 from thermosplat.printing import SafeConsole, printable
 from thermosplat.runs.atomic_writes import open_to_append, write_text
 from thermosplat.runs.run_directory import RunDirectory, finite_or_null
@@ -32,6 +34,7 @@ _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is co
 LATE_BY = 4
 """Steps that a GPU is given before the line of a step is written."""
 
+_NEVER = 2**62  # steps
 _METRICS = {"psnr": "PSNR {:.2f} dB", "ssim": "SSIM {:.3f}", "lpips": "LPIPS {:.3f}"}
 
 
@@ -96,6 +99,22 @@ class RunLogger:
         self._refreshed = 0.0
         self._late: StepRecord | None = None
         self._lines_lost = False
+
+    @classmethod
+    def of(cls, run: RunDirectory, config: TrainConfig, device: torch.device, *, speaks: bool) -> "RunLogger":
+        """The logger of a training.
+
+        Args:
+            run: Where the files go.
+            config: What is done.
+            device: Its device.
+            speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
+        """
+        if speaks:
+            every, tensorboard = config.log_every, config.tensorboard
+            return cls(run, max_steps=config.max_steps, log_every=every, device=device, tensorboard=tensorboard)
+        silent = SafeConsole(quiet=True, file=io.StringIO())
+        return cls(run, max_steps=_NEVER, log_every=_NEVER, device=device, tensorboard=False, console=silent)
 
     def start(self, step: int, *, evaluates: bool = False) -> None:
         """Open the files; drop lines of metrics.jsonl from after the step that a resumed run starts from.
