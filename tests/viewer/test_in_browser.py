@@ -113,6 +113,9 @@ def jpeg(image: np.ndarray) -> np.ndarray:
 def test_the_page_shows_the_rasterizers_image(browser: Any, viewer: Viewer) -> None:
     """What is on the screen is SceneModel.render's image after one JPEG, within a level in the mean."""
     tab = Tab(browser, viewer)
+    tab.choose("thermal", "RGB")  # it begins with temperatures
+    wait_for(lambda: tab.visitor.session.wish.first.spectrum == "rgb", tab.page)
+    tab.rest()
     expected = jpeg(np.rint(255 * tab.rendered("rgb").numpy()).astype(np.uint8))[CLEAR]
     seen = tab.screenshot()[CLEAR]
     assert expected.std() > 5
