@@ -113,6 +113,9 @@ def jpeg(image: np.ndarray) -> np.ndarray:
 def test_the_page_shows_the_rasterizers_image(browser: Any, viewer: Viewer) -> None:
     """What is on the screen is SceneModel.render's image after one JPEG, within a level in the mean."""
     tab = Tab(browser, viewer)
+    tab.choose("thermal", "RGB")  # it begins with temperatures
+    wait_for(lambda: tab.visitor.session.wish.first.spectrum == "rgb", tab.page)
+    tab.rest()
     expected = jpeg(np.rint(255 * tab.rendered("rgb").numpy()).astype(np.uint8))[CLEAR]
     seen = tab.screenshot()[CLEAR]
     assert expected.std() > 5
@@ -148,6 +151,8 @@ def value_text(tab: Tab) -> str:
 def test_the_wipe_moves(browser: Any, viewer: Viewer) -> None:
     """Dragging its handle moves the edge between the two images, on the page as in the session."""
     tab = Tab(browser, viewer)
+    tab.choose("thermal", "RGB")
+    wait_for(lambda: tab.visitor.session.wish.first.spectrum == "rgb", tab.page)
     tab.page.get_by_role("button", name="wipe", exact=True).or_(tab.page.get_by_text("wipe", exact=True)).first.click()
     wait_for(lambda: tab.visitor.session.wish.comparison == "wipe", tab.page)
     tab.rest()
@@ -174,6 +179,9 @@ def test_the_wipe_moves(browser: Any, viewer: Viewer) -> None:
 def test_moving_makes_smaller_pictures_and_then_a_full_one(browser: Any, viewer: Viewer) -> None:
     """Dragging the mouse moves the camera; the picture that follows is the rasterizer's from the new place."""
     tab = Tab(browser, viewer)
+    tab.choose("thermal", "RGB")
+    wait_for(lambda: tab.visitor.session.wish.first.spectrum == "rgb", tab.page)
+    tab.rest()
     before = tab.visitor.view().viewmat
     tab.visitor.pace.pixels = 200 * 133
     sizes = set()
@@ -197,16 +205,16 @@ def test_the_panel_stays_on_a_phone(browser: Any, viewer: Viewer) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
     page = context.new_page()
     page.goto(viewer.url)
-    layer = page.locator('input[value="RGB"]:visible').first
+    layer = page.locator('input[value="thermal"]:visible').first
     layer.tap(timeout=1000 * PATIENCE)
-    page.get_by_role("option", name="thermal", exact=True).locator("visible=true").first.tap(timeout=1000 * PATIENCE)
+    page.get_by_role("option", name="RGB", exact=True).locator("visible=true").first.tap(timeout=1000 * PATIENCE)
     (visitor,) = viewer.visitors.values()
-    wait_for(lambda: visitor.session.wish.first.spectrum == "thermal", page)
-    page.locator('input[value="thermal"]:visible').first.tap()
+    wait_for(lambda: visitor.session.wish.first.spectrum == "rgb", page)
+    page.locator('input[value="RGB"]:visible').first.tap()
     page.wait_for_timeout(1000)
     sizes = page.evaluate("[innerWidth, innerHeight, document.documentElement.scrollWidth]")
     assert sizes == [390, 844, 390]
-    for shown in (page.get_by_role("tab", name="View"), page.get_by_role("option", name="RGB", exact=True)):
+    for shown in (page.get_by_role("tab", name="View"), page.get_by_role("option", name="thermal", exact=True)):
         box = shown.locator("visible=true").first.bounding_box()
         assert box["x"] >= 0
         assert box["y"] >= 0

@@ -116,7 +116,7 @@ def _label(key: str, path: Path) -> int:
 
 def _surface(key: str, stated: Any, path: Path) -> LabelledSurface:
     if not isinstance(stated, dict):
-        raise UserError(f"{path}: label {key} must be a group such as {{name: wall, emissivity: 0.93}}.")
+        raise UserError(f"{path}: label {key} must be a group of settings, such as name: wall and emissivity: 0.93.")
     known = {field.name: None for field in fields(TemperatureSettings) if field.name != "labels"}
     if unknown := sorted(map(str, stated.keys() - known.keys() - {"name", "mirror"})):
         raise UserError(f"{path}: label {key} has {shown(unknown[0])}; known are name, mirror, {', '.join(known)}.")

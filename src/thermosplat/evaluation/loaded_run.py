@@ -168,7 +168,8 @@ class LoadedRun:
         Args:
             capture: The run's capture.
         """
-        stats, name = self.directory.stats, self.result_name(capture)
+        stats = self.directory.stats if self.directory.holds_a_run() else None
+        name = self.result_name(capture)
         return {
             spectrum: Certainty(
                 self.model,
@@ -177,7 +178,7 @@ class LoadedRun:
                 scale,
                 sh_degree=self.sh_degree,
                 device=self.device,
-                keep=stats / f"certainty_{spectrum}_{name}.json",
+                keep=None if stats is None else stats / f"certainty_{spectrum}_{name}.json",
             )
             for spectrum, scale in self.scales.items()
             if scale.measured_unit is not None and any(spectrum in frame.views for frame in capture.train)

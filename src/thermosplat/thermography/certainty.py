@@ -146,6 +146,11 @@ class Certainty:
         return Sure(self.calibration.half_width(s), doubts)
 
     @property
+    def is_known(self) -> bool:
+        """Whether the calibration is at hand; else it takes a while."""
+        return self._calibration is not None or (self._keep is not None and _read(self._keep) is not None)
+
+    @property
     def calibration(self) -> Calibration:
         """What held-out views say; found when it is first asked for."""
         if self._calibration is None:

@@ -128,6 +128,8 @@ class MeasurePanel:
         self._measure(shape, corners, self._corners_of)
 
     def _measure(self, shape: Shape, places: list[Pixel], shown: Shown | None) -> None:
+        if not all(certainty.is_known for certainty in self.visitor.scene.certainties.values()):
+            self.visitor.tell("One moment", "How sure temperatures are is found once, from the held-out views.")
         made = self.visitor.session.measure(shape, places, shown)
         if made is None or shown is None:
             self.visitor.tell("Nothing to measure there", "Choose a layer of values, and wait until the picture rests.")

@@ -36,7 +36,7 @@ class TemperaturePanel:
             "window": stated.window_transmission if given.window is None else given.window,
         }
         begun = {name: round(value, 3) for name, value in self._begun.items()}
-        with gui.add_folder("Temperatures") as self.folder:
+        with gui.add_folder("Temperatures", expand_by_default=given.any_given) as self.folder:
             self.on = gui.add_checkbox("Recalculate", given.any_given)
             self.controls = {
                 "emissivity": gui.add_number("Emissivity", begun["emissivity"], min=0.01, max=1.0, step=0.01),
