@@ -112,7 +112,7 @@ def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any], recalculated: s
     of_spectra = {name: metrics[name] for name in metrics["spectra"] if metrics[name] is not None}
     measured = {name: _in_its_unit(numbers) for name, numbers in of_spectra.items()}
     headings = ("MAE", "bias") if any(map(any, measured.values())) else ()
-    table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
+    table = Table("held out", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
     for name, numbers in of_spectra.items():
         columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"))
         errors = [error or "-" for error in measured[name][: len(headings)]]
