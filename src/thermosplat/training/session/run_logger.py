@@ -27,7 +27,7 @@ from thermosplat.printing import SafeConsole, printable
 from thermosplat.runs.atomic_writes import open_to_append, write_text
 from thermosplat.runs.run_directory import RunDirectory, finite_or_null
 from thermosplat.runs.written_files import TENSORBOARD_SUFFIX
-from thermosplat.spectra import MAE, unit_label
+from thermosplat.spectra import BIAS, MAE, unit_label
 
 _REFRESH_SECONDS = 0.25  # of the live line
 _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
@@ -327,11 +327,15 @@ def _clock(seconds: float) -> str:
 
 
 def _number(name: str, value: float) -> str:
-    """A metric for people: "PSNR 24.31 dB", "MAE 0.42 °C", "MAE 0.0085 reflectance"."""
+    """A metric for people: "PSNR 24.31 dB", "MAE 0.42 °C", "bias -0.0085 reflectance"."""
     if name in _METRICS:
         return _METRICS[name].format(value)
-    digits = f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
-    return f"MAE {digits} {unit_label(name.removeprefix(MAE))}"
+    digits = ".2f" if abs(value) >= 0.1 else ".2g"
+    if name.startswith(MAE):
+        return f"MAE {value:{digits}} {unit_label(name.removeprefix(MAE))}"
+    if name.startswith(BIAS):
+        return f"bias {value:+{digits}} {unit_label(name.removeprefix(BIAS))}"
+    return f"{name.replace('_', ' ')} {value:{digits}}"
 
 
 def _is_before(line: str, step: int, evaluates: bool) -> bool:
