@@ -150,7 +150,10 @@ def test_evaluation_is_said_and_kept(tmp_path: Path) -> None:
     logger.evaluation(4, metrics)
     logger.step(_record(5))
     printed = output.getvalue()
-    assert "rgb PSNR 23.46 dB SSIM 0.810; thermal PSNR 25.00 dB SSIM 0.900 LPIPS 0.200 MAE 0.31 °C bias -0.20 °C; nir" in " ".join(printed.split())
+    assert (
+        "rgb PSNR 23.46 dB SSIM 0.810; thermal PSNR 25.00 dB SSIM 0.900 LPIPS 0.200 MAE 0.31 °C bias -0.20 °C; nir"
+        in " ".join(printed.split())
+    )
     assert "nir PSNR 31.00 dB SSIM 0.950 MAE 0.0085 reflectance miou 0.50" in " ".join(printed.split())
     assert "(held-out 23.46)" in printed
     assert _entries(tmp_path)[0] == {"step": 4, "evaluation": metrics}
