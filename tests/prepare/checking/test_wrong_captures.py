@@ -65,7 +65,7 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def test_good_captures_are_left_alone(good: Capture) -> None:
-    """Nothing is said of the sample, nor of photographs alone, nor of points that were made up."""
+    """Nothing is said of the sample, in memory or on the disk, nor of points that were made up or have no colours."""
     assert wrong_notes(good, DEFAULT_SPECTRA) == []
     noise = np.random.default_rng(0)
     made_up = replace(
@@ -77,6 +77,9 @@ def test_good_captures_are_left_alone(good: Capture) -> None:
     assert wrong_notes(made_up, DEFAULT_SPECTRA) == []
     grey = replace(good, point_colors=np.full_like(good.point_colors, 128))
     assert wrong_notes(grey, DEFAULT_SPECTRA) == []
+    on_disk = load_capture("sample", image_memory=1e-4)
+    assert on_disk.on_disk is not None
+    assert wrong_notes(on_disk, DEFAULT_SPECTRA) == []
 
 
 @pytest.mark.parametrize(

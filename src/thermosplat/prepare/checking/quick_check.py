@@ -5,6 +5,7 @@ other, images that are there twice, temperatures in another unit.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
     """
     frames = sorted((*capture.train, *capture.test), key=lambda frame: frame.name)
     if capture.on_disk is not None:
-        frames = frames[:: -(-len(frames) // _READ_FROM_DISK)]
+        frames = [_in_memory(frame) for frame in frames[:: -(-len(frames) // _READ_FROM_DISK)]]
     notes: list[str] = []
     points = capture.points[:0] if any(STARTING_RANDOM in note for note in capture.notes) else capture.points
     lead = next((name for name, scale in capture.scales.items() if scale.kind == "photograph"), None)
@@ -68,8 +69,8 @@ def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
                     f"of the same points): --{lead}.exposure affine learns it."
                 )
     posed = bool(len(points)) and not notes
-    chosen = {frame.name for frame in frames}
-    train, test = ([frame for frame in part if frame.name in chosen] for part in (capture.train, capture.test))
+    held_out = {frame.name for frame in capture.test}
+    train, test = ([frame for frame in frames if (frame.name in held_out) is held] for held in (False, True))
     for name, scale in capture.scales.items():
         notes += repeated_notes(name, _views(train, name), _views(test, name))
         notes += temperature_notes(name, _sampled(_views(frames, name)), scale)
@@ -78,6 +79,16 @@ def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
             pairs = [pair for pair in both if all(map(shows_something, pair))]
             notes += together_notes(name, pairs, points, posed=posed)
     return notes
+
+
+def _in_memory(frame: Frame) -> Frame:
+    """The frame with the pixels that stay on the disk, which are looked at more than once."""
+
+    def read(view: View) -> View:
+        pixels = view.pixels()
+        return replace(view, image=pixels.image, values=pixels.values, mask=pixels.mask, stored=None)
+
+    return Frame(frame.name, {name: read(view) for name, view in frame.views.items()})
 
 
 def _views(frames: Sequence[Frame], spectrum: str) -> list[View]:
