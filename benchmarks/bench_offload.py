@@ -45,7 +45,7 @@ from thermosplat.training.offloading import limit_device_memory
 from thermosplat.training.trainer import Trainer
 from training.frozen_training import frozen, quiet_trainer, run_steps, wait, warm_up
 
-NEVER = 2**40
+NEVER = 10**11
 NOTING = DensificationConfig(start_step=NEVER, stop_step=2 * NEVER, every=NEVER, reset_every=NEVER)
 """Density control looks at every step and changes nothing."""
 
