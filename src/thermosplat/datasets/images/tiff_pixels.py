@@ -110,7 +110,8 @@ def _opencv_is_right(tags: TiffTags) -> bool:
         return in_one_place and (colored or grey)
     if tags.bits == 8 and tags.sample_format == UNSIGNED:
         if tags.samples == 1:
-            return tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO, PALETTE)
+            plain_tiles = tags.tile_width is not None and tags.compression == 1  # OpenCV 5.0 reads none of them
+            return not plain_tiles and tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO, PALETTE)
         if tags.samples == 4:
             return in_one_place and tags.photometric == CMYK
         return in_one_place and tags.samples == 3 and tags.photometric in (RGB, YCBCR)
