@@ -12,7 +12,7 @@ from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.files import data_from_anywhere
 from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.printing import SafeConsole
-from thermosplat.spectra import BIAS, MAE, label, unit_label
+from thermosplat.spectra import label, measured_error
 
 if TYPE_CHECKING:
     from thermosplat.evaluation.labelled_regions import Regions
@@ -122,20 +122,20 @@ def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any], recalculated: s
 
 def _in_its_unit(numbers: Mapping[str, Any]) -> tuple[str, str]:
     """Mean absolute error and bias of a spectrum's measured values, with their unit; "": nothing is measured."""
-    found = {}
-    for begin, form in ((MAE, ".2f"), (BIAS, "+.2f")):
-        for name, number in numbers.items():
-            if name.startswith(begin) and number is not None:
-                found[begin] = f"{number:{form}} {unit_label(name.removeprefix(begin))}"
-    return found.get(MAE, ""), found.get(BIAS, "")
+    found = {
+        error.heading: f"{number:{error.sign}.2f} {error.unit}"
+        for name, number in numbers.items()
+        if number is not None and (error := measured_error(name)) is not None
+    }
+    return found.get("MAE", ""), found.get("bias", "")
 
 
 def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
     """Heading, measure and form of the errors of measured values that are there."""
     found = dict.fromkeys(name for of_spectrum in numbers for name in of_spectrum)
-    columns = [(name, "MAE", MAE, ".2f") for name in found if name.startswith(MAE)]
-    columns += [(name, "bias", BIAS, "+.2f") for name in found if name.startswith(BIAS)]
-    return [(rf"{what} \[{unit_label(name.removeprefix(begin))}]", name, form) for name, what, begin, form in columns]
+    errors = [(name, error) for name in found if (error := measured_error(name)) is not None]
+    errors.sort(key=lambda one: one[1].heading)  # MAE of all units, then bias
+    return [(rf"{error.heading} \[{error.unit}]", name, f"{error.sign}.2f") for name, error in errors]
 
 
 def _print_regions(regions: "Regions") -> None:

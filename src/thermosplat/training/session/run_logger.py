@@ -27,7 +27,7 @@ from thermosplat.printing import SafeConsole, printable
 from thermosplat.runs.atomic_writes import open_to_append, write_text
 from thermosplat.runs.run_directory import RunDirectory, finite_or_null
 from thermosplat.runs.written_files import TENSORBOARD_SUFFIX
-from thermosplat.spectra import BIAS, MAE, unit_label
+from thermosplat.spectra import measured_error
 
 _REFRESH_SECONDS = 0.25  # of the live line
 _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
@@ -331,11 +331,10 @@ def _number(name: str, value: float) -> str:
     if name in _METRICS:
         return _METRICS[name].format(value)
     digits = ".2f" if abs(value) >= 0.1 else ".2g"
-    if name.startswith(MAE):
-        return f"MAE {value:{digits}} {unit_label(name.removeprefix(MAE))}"
-    if name.startswith(BIAS):
-        return f"bias {value:+{digits}} {unit_label(name.removeprefix(BIAS))}"
-    return f"{name.replace('_', ' ')} {value:{digits}}"
+    error = measured_error(name)
+    if error is None:
+        return f"{name.replace('_', ' ')} {value:{digits}}"
+    return f"{error.heading} {value:{error.sign}{digits}} {error.unit}"
 
 
 def _is_before(line: str, step: int, evaluates: bool) -> bool:
