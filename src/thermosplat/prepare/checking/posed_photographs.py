@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import View
+from thermosplat.prepare.checking.sensor_orientation import LUMA
 
 _COMPARED = 16
 """Photographs that are looked at."""
@@ -26,7 +27,6 @@ _AGREE = 0.15
 0.72, desk with its poses inverted, shuffled or shifted by a frame at most 0.10."""
 _BETTER = 0.08
 """By how much another reading of the poses has to explain the photographs better. Open choice."""
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 _REMEDIES = {
     "inverted": "the poses are inverted (camera to world in the place of world to camera, or the other way round)",
@@ -69,7 +69,7 @@ def pose_scores(views: Sequence[View], points: NDArray[np.floating], colors: NDA
     if len(views) < _LEAST_FRAMES or len(points) < _LEAST_POINTS or np.ptp(colors.astype(int) @ [1, 1, 1]) == 0:
         return {}
     every = max(1, len(points) // _MOST_POINTS)
-    places, luma = points[::every].astype(np.float64), colors[::every].astype(np.float32) @ _LUMA
+    places, luma = points[::every].astype(np.float64), colors[::every].astype(np.float32) @ LUMA
     at = np.unique(np.linspace(0, len(views) - 1, min(_COMPARED, len(views))).round().astype(int))
     cache: dict[int, NDArray[np.float32]] = {}
 
@@ -156,7 +156,7 @@ def exposure_drift(views: Sequence[View], points: NDArray[np.floating], colors: 
         colors: Their colours [M, 3], which are the mean of what photographs show.
     """
     every = max(1, len(points) // _MOST_POINTS)
-    places, luma = points[::every].astype(np.float64), colors[::every].astype(np.float32) @ _LUMA
+    places, luma = points[::every].astype(np.float64), colors[::every].astype(np.float32) @ LUMA
     gains = []
     for view in views[:: max(1, len(views) // (2 * _COMPARED))]:
         shares, inside = projected(view, view.viewmat, 1.0, places)
@@ -170,4 +170,4 @@ def _small(view: View) -> NDArray[np.float32]:
     image = view.pixels().image
     factor = min(1.0, _LONG_SIDE / max(image.shape[:2]))
     small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    return np.asarray(small.astype(np.float32) @ _LUMA)
+    return np.asarray(small.astype(np.float32) @ LUMA)

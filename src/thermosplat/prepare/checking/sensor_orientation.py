@@ -30,7 +30,8 @@ _CONTROLS = (3, 5, 7)
 _LEAST_PAIRS = 8
 _LEAST_SCORE, _LEAST_RATIO = 0.05, 2.0
 """From which score on, and how far above the next orientation, the best one is believed; see above."""
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+"""Of an RGB colour, ITU-R BT.601."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ def edge_strength(image: NDArray[Any], width: int, height: int) -> NDArray[np.fl
     """Strength of the edges [height, width], equalised over the image."""
     grey = image.astype(np.float32)
     if grey.ndim == 3:
-        grey = grey @ _LUMA
+        grey = grey @ LUMA
     grey = cv2.GaussianBlur(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), (0, 0), 1)
     strength = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     local = cv2.GaussianBlur(strength, (0, 0), 8) + 0.05 * strength.mean() + 1e-6

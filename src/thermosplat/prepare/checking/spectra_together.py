@@ -189,8 +189,9 @@ def _homography(
     moved = view.viewmat @ np.linalg.inv(lead.viewmat)
     plane = moved[:3, :3].copy()
     if np.abs(moved[:3, 3]).max() > 0:
-        depths = (points[:: max(1, len(points) // 2000)] @ lead.viewmat[:3, :3].T + lead.viewmat[:3, 3])[:, 2]
-        shares, inside = projected(lead, lead.viewmat, 1.0, points[:: max(1, len(points) // 2000)].astype(np.float64))
+        some = points[:: max(1, len(points) // 2000)].astype(np.float64)
+        depths = (some @ lead.viewmat[:3, :3].T + lead.viewmat[:3, 3])[:, 2]
+        shares, inside = projected(lead, lead.viewmat, 1.0, some)
         if len(shares):
             plane[:, 2] += moved[:3, 3] / float(np.median(depths[inside]))
     one, two = lead.camera.resized(*size).K, view.camera.resized(*_reduced(view, factor)).K
