@@ -1,12 +1,16 @@
 """How true are the temperatures of a map?
 
     python benchmarks/bench_map.py RUN... [--data FOLDER] [--gsd 0.01] [--device auto] [--json map.json]
+    python benchmarks/bench_map.py RUN --truth FLIGHT --gsd 0.1
 
 Renders a run's map as ``thermosplat-export RUN --format orthomosaic`` does, and compares it with what the held-out
 images of a rendered capture measured. Each of their pixels is a point of the scene, by its true depth. A point counts
 where nothing higher was seen within the same pixel of the map, and where the map shows the surface that it lies on:
 the map's own depth there is the point's, within ``--within`` world units. The rest lies under something else, or on
 a side that is hidden from above. README.md says more.
+
+With ``--truth`` the map of a rendered flight is compared with FLIGHT/truth_map.npz, pixel by pixel, after the
+similarity between the run's cameras and those of FLIGHT/truth.json, and after one common shift of temperature.
 """
 
 import argparse
@@ -14,11 +18,12 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
+import cv2  # before pycolmap, see src/thermosplat/datasets/lens.py
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from scenes.flight_truth import FlightTruth, read_flight_truth
 from scenes.surface_points import surface_points
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.ground_truth import read_ground_truth
@@ -115,6 +120,39 @@ def compared(loaded: LoadedRun, data: str | None, gsd: float, within: float) -> 
     return rows
 
 
+def against_flight(loaded: LoadedRun, data: str | None, gsd: float, truth: FlightTruth) -> dict[str, float]:
+    """How far the map of a flight is from the truth [m, °C]."""
+    capture = loaded.capture(data)
+    name = next(name for name, scale in loaded.scales.items() if scale.measured_unit is not None)
+    leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
+    frame = local_frame(capture, leading)
+    top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
+    grid = MapGrid.covering(frame, map_extent(frame, capture), gsd, top)
+    picture = render_map(loaded.model, name, loaded.scales[name], grid, sh_degree=loaded.sh_degree)[0]
+    east, north = np.meshgrid(
+        grid.west + (np.arange(grid.width) + 0.5) * gsd, grid.north - (np.arange(grid.height) + 0.5) * gsd
+    )
+    height = grid.top - map_depth(loaded, leading, grid)
+    places, off = truth.placed(capture, leading, frame.to_scene(np.stack([east, north, height], -1).reshape(-1, 3)))
+    true = truth.at(places).reshape(picture.shape)
+    inside = np.isfinite(true)
+    known = inside & np.isfinite(picture)
+    difference = (picture - true)[known]
+    shift = float(np.median(difference))
+    error = np.abs(difference - shift)
+    both = [np.where(known, image, true.mean(where=inside)).astype(np.float64) for image in (picture, true)]
+    (right, down), _ = cv2.phaseCorrelate(*both, cv2.createHanningWindow(picture.shape[::-1], cv2.CV_64F))
+    return {
+        "cameras": off,
+        "covered": float(known.sum() / inside.sum()),
+        "shift": shift,
+        "mean": float(error.mean()),
+        "median": float(np.median(error)),
+        "p95": float(np.percentile(error, 95)),
+        "aside": float(np.hypot(right, down) * gsd),
+    }
+
+
 def main() -> None:
     """Compare and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -122,10 +160,17 @@ def main() -> None:
     parser.add_argument("--data", help="where the capture lies now")
     parser.add_argument("--gsd", type=float, default=0.01, help="side of the map's pixels [world units]")
     parser.add_argument("--within", type=float, default=0.03, help="depths that are one surface [world units]")
+    parser.add_argument("--truth", type=Path, help="folder of a rendered flight with its truth")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     rows = []
+    if arguments.truth is not None:
+        for run in arguments.runs:
+            loaded = load_run(run, device=arguments.device)
+            row = against_flight(loaded, arguments.data, arguments.gsd, read_flight_truth(arguments.truth))
+            print(f"{loaded.directory.path.name}: " + ", ".join(f"{key} {value:.3f}" for key, value in row.items()))
+        return
     print("| run | spectrum | map [px] | points compared | of the highest | median error | mean | 95% | unit |")
     print("|---|---|---|---|---|---|---|---|---|")
     for run in arguments.runs:

@@ -19,7 +19,6 @@ from thermosplat.pictures.hatching import hatched
 from thermosplat.pictures.image_display import Image8, rgb_bytes, spectrum_bytes
 from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.rendered_frame import LEAST_COVER
 from thermosplat.spectra import listed, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
@@ -152,7 +151,7 @@ def rendered_images(
         ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales. Recalculated
             temperatures have their own.
         measured: Takes the number of each viewpoint, the name of each measured spectrum and its values [H, W] in its
-            unit, recalculated as the pictures are; NaN where Gaussians cover less than 90%.
+            unit, recalculated as the pictures are; NaN where Gaussians cover less than 90% in every spectrum.
 
     Yields:
         8-bit RGB [H, W, 3].
@@ -168,7 +167,8 @@ def rendered_images(
         for name in names:
             if measured is not None and scales[name].kind != "photograph" and scales[name].measured_unit is not None:
                 image, view = rendered.images[name], point.views[name]
-                measured(index, name, _values(name, image, rendered.alphas[name], view, scales[name], temperatures))
+                covered = model.render(dict.fromkeys(model.spectra, view), sh_degree=sh_degree).covered()
+                measured(index, name, _values(name, image, covered, view, scales[name], temperatures))
         spans = {} if ranges is None or (temperatures is not None and temperatures.text) else ranges
         images = [
             _picture(name, rendered.images[name], point.views[name], scales[name], temperatures, spans.get(name))
@@ -204,17 +204,17 @@ def _picture(
 def _values(
     name: str,
     image: Tensor,
-    alphas: Tensor,
+    covered: Tensor,
     view: ViewTensors,
     scale: PixelScale,
     temperatures: SceneTemperatures | None,
 ) -> NDArray[np.float32]:
-    """Measured values [H, W] of a rendered image [H, W, C], recalculated where that is asked for."""
+    """Measured values [H, W] of a rendered image [H, W, C], recalculated where that is asked for; NaN elsewhere."""
     if temperatures is not None and temperatures.recalculates(name):
-        values = temperatures.of_image(name, image, view).values.to(alphas)
+        values = temperatures.of_image(name, image, view).values.to(image)
     else:
         values = scale.value(pixel_intensity(image.clamp(0, 1), scale))
-    return torch.where(alphas[..., 0] >= LEAST_COVER, values, torch.nan).cpu().numpy().astype(np.float32)
+    return torch.where(covered, values, torch.nan).cpu().numpy().astype(np.float32)
 
 
 def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str) -> Viewpoint:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 LEAST_COVER = 0.9
-"""Values of pixels that Gaussians cover less are not told: they would be mixed with the black behind. Open choice."""
+"""Values of pixels that Gaussians cover less are not told: nothing is there. Open choice."""
 
 
 @dataclass
@@ -45,6 +45,14 @@ class RenderedFrame:
     about these."""
     blank: list[Tensor] = field(default_factory=list)
     """Images of nothing, of calls that were made for the views of other ranks alone."""
+
+    def covered(self) -> Tensor:
+        """Where there is a surface in any of the spectra, bool [H, W]; all images are of one camera.
+
+        Behind Gaussians lies black, which is the lowest value. A surface as cold as that may stay transparent in the
+        thermal image, and its value is right all the same (benchmarks/records/map.md).
+        """
+        return torch.stack([alpha[..., 0] for alpha in self.alphas.values()]).amax(0) >= LEAST_COVER
 
     def note_call(self, gaussian_set: str, spectra: Sequence[str], info: dict[str, Any]) -> None:
         """Keep what the rasterization says about a call.

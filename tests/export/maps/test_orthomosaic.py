@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from field_scene import LOW, celsius_at, field_model
 from thermosplat.datasets.capture import Capture, Frame
@@ -157,3 +158,13 @@ def test_impossible_grids_are_explained(extent: tuple[float, ...], pixel: float,
     """The sentence names the flag."""
     with pytest.raises(UserError, match=message):
         MapGrid.covering(MapFrame(np.eye(3)), extent, pixel, top=1.0)  # type: ignore[arg-type]
+
+
+def test_cold_ground_is_on_the_map() -> None:
+    """What is transparent in the thermal spectrum alone has the lowest temperature there, and is no hole."""
+    model, capture = field_model(np.eye(3))
+    clear = model.gaussians("thermal")
+    clear.logit_opacities = torch.nn.Parameter(torch.full_like(clear.logit_opacities, -20.0))
+    grid = MapGrid.covering(MapFrame(np.eye(3)), (-1.0, -1.0, 1.0, 1.0), 0.1, top=3.0)
+    celsius = render_map(model, "thermal", capture.scales["thermal"], grid, sh_degree=0)
+    np.testing.assert_allclose(celsius, LOW, atol=0.01)

@@ -13,7 +13,6 @@ from thermosplat.errors import UserError
 from thermosplat.export.maps.geotiff import write_geotiff
 from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.rendered_frame import LEAST_COVER
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
@@ -133,7 +132,7 @@ def render_map(
 
     Returns:
         [B, H, W]: colours in [0, 1] of a photograph, else one band: measured values, or intensities in [0, 1] where
-        nothing is measured. NaN where Gaussians cover less than 90%. Recalculated temperatures have a second band, 1
+        nothing is measured. NaN where Gaussians cover less than 90% in every spectrum. Recalculated temperatures have a second band, 1
         where they were.
     """
     recalculated = temperatures is not None and temperatures.recalculates(name)
@@ -141,7 +140,7 @@ def render_map(
     picture = np.full((bands, grid.height, grid.width), np.nan, np.float32)
     for left, upper, width, height in grid.tiles():
         view = grid.view(left, upper, width, height, model.background.device)
-        rendered = model.render({name: view}, sh_degree=sh_degree)
+        rendered = model.render(dict.fromkeys(model.spectra, view), sh_degree=sh_degree)
         image = rendered.images[name].clamp(0, 1)
         if temperatures is not None and recalculated:
             made = temperatures.of_image(name, image, view)
@@ -150,7 +149,7 @@ def render_map(
         elif bands == 1:
             intensity = pixel_intensity(image, scale)
             image = (intensity if scale.measured_unit is None else scale.value(intensity))[..., None]
-        seen = (rendered.alphas[name] >= LEAST_COVER).expand_as(image).to(image.device)
+        seen = rendered.covered()[..., None].to(image.device)
         part = torch.where(seen, image, torch.nan).permute(2, 0, 1).cpu().numpy()
         picture[:, upper : upper + height, left : left + width] = part
     return picture
