@@ -69,6 +69,21 @@ def test_mistakes_end_with_2(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("words", [["folder"], ["sfm", "folder"]])
+def test_ctrl_c_says_that_the_command_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    """In the whole command and in a step of its own."""
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("thermosplat.cli.preparing.files.import_source", stopped)
+    monkeypatch.setitem(prepare.STEPS, "sfm", (prepare.STEPS["sfm"][0], stopped))
+    assert prepare.main(words) == 130
+    assert "What was done is kept. The same command goes on." in capsys.readouterr().err
+
+
 def test_flags_that_need_each_other(run: Run, tmp_path: Path) -> None:
     """A scale without a unit."""
     write_two_cameras(tmp_path / "in")

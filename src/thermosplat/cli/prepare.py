@@ -60,8 +60,21 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if words and words[0] in STEPS:
         arguments, body = STEPS[words[0]]
-        return run_program(arguments, body, words[1:], prog=f"thermosplat-prepare {words[0]}")
-    return run_program(PrepareArguments, _prepare, words, prog="thermosplat-prepare")
+        return run_program(arguments, _goes_on(body), words[1:], prog=f"thermosplat-prepare {words[0]}")
+    return run_program(PrepareArguments, _goes_on(_prepare), words, prog="thermosplat-prepare")
+
+
+def _goes_on(body: Callable[[Any], int]) -> Callable[[Any], int]:
+    """A body that says what Ctrl-C leaves."""
+
+    def told(arguments: Any) -> int:
+        try:
+            return body(arguments)
+        except KeyboardInterrupt:
+            print("What was done is kept. The same command goes on.", file=sys.stderr)
+            raise
+
+    return told
 
 
 def _prepare(arguments: PrepareArguments) -> int:

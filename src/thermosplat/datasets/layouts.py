@@ -64,7 +64,7 @@ def _list_layout(root: Path, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     if not present and not values:
         raise _unknown_layout(root, spectra)
     if model_folder is None:
-        raise missing_model(root, [*present, *values][0])
+        raise missing_model(root)
     model = read_model(model_folder)
     rig = len(registered_spectra(model, spectra)) > 1
     counted = present if rig else [*present, *values][:1]

@@ -110,11 +110,7 @@ def test_no_model(tmp_path):
         load_capture(tmp_path)
     assert "sparse/0, colmap/sparse/0" in caught.value.message
     assert "images/ (3 files)" in caught.value.message
-    images = tmp_path / "images"
-    command = f"colmap automatic_reconstructor --workspace_path {tmp_path} --image_path {images} --dense 0"
-    prepare = f"become a capture, poses and all, with thermosplat-prepare {tmp_path} "
-    assert prepare in caught.value.hint
-    assert caught.value.hint.index(prepare) < caught.value.hint.index(command)
+    assert caught.value.hint.endswith(f"become a capture, poses and all, with thermosplat-prepare {tmp_path}")
 
 
 def test_the_command_that_makes_a_model_is_quoted(tmp_path):
@@ -124,8 +120,6 @@ def test_the_command_that_makes_a_model_is_quoted(tmp_path):
         load_capture(tmp_path / "my shed")
     words = shlex.split(caught.value.hint)
     assert words[words.index("thermosplat-prepare") + 1] == str(tmp_path / "my shed")
-    assert words[words.index("--workspace_path") + 1] == str(tmp_path / "my shed")
-    assert words[words.index("--image_path") + 1] == str(tmp_path / "my shed" / "rgb")
 
 
 def test_empty_reconstruction_names_a_better_sibling(tmp_path):

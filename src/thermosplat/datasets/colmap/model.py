@@ -129,13 +129,8 @@ def with_points(model: ColmapModel) -> tuple[ColmapModel, list[str]]:
     return replace(model, points=points, point_colors=colors), [note]
 
 
-def missing_model(root: Path, images: Path) -> UserError:
-    """The error for a capture with images and without a model.
-
-    Args:
-        root: The capture's folder.
-        images: Its folder of images.
-    """
+def missing_model(root: Path) -> UserError:
+    """The error for a capture, in the folder ``root``, with images and without a model."""
     found = ", ".join(describe_folder(folder) for folder in sorted(root.iterdir()) if folder.is_dir()) or "no folders"
     message = (
         f"No COLMAP model in {root}. Looked for cameras.bin or cameras.txt in: {', '.join(MODEL_FOLDERS)}. "
@@ -143,12 +138,10 @@ def missing_model(root: Path, images: Path) -> UserError:
     )
     if (root / "prepared").is_dir():
         return UserError(message, f"Go on with its preparation: thermosplat-prepare sfm {shlex.quote(str(root))}")
-    folder, of_images = shlex.quote(str(root)), shlex.quote(str(images))
     return UserError(
         message,
-        f"The untouched files of two cameras become a capture, poses and all, with thermosplat-prepare {folder} (or "
-        "make a model of the images as they are: "
-        f"colmap automatic_reconstructor --workspace_path {folder} --image_path {of_images} --dense 0)",
+        "The untouched files of cameras become a capture, poses and all, with "
+        f"thermosplat-prepare {shlex.quote(str(root))}",
     )
 
 

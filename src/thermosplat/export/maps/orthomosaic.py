@@ -132,8 +132,8 @@ def render_map(
 
     Returns:
         [B, H, W]: colours in [0, 1] of a photograph, else one band: measured values, or intensities in [0, 1] where
-        nothing is measured. NaN where Gaussians cover less than 90% in every spectrum. Recalculated temperatures have a second band, 1
-        where they were.
+        nothing is measured. NaN where Gaussians cover less than 90% in every spectrum. Recalculated temperatures have a
+        second band, 1 where they were.
     """
     recalculated = temperatures is not None and temperatures.recalculates(name)
     bands = 3 if scale.kind == "photograph" else 2 if recalculated else 1
