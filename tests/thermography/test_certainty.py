@@ -48,9 +48,11 @@ def test_a_calibration_is_kept(scene, tmp_path: Path) -> None:
 
 
 def test_half_widths_follow_their_bins() -> None:
-    """Small and large s have factors of their own."""
+    """Small and large s have factors of their own; no interval is narrower than the drift makes it."""
     made = Calibration(0.1, 0.0, (1.0,), (2.0, 3.0))
     np.testing.assert_allclose(made.half_width(np.array([0.5, 2.0])), [1.0, 6.0])
+    drifting = replace(made, drift=1.0)
+    np.testing.assert_allclose(drifting.half_width(np.array([0.5, 2.0])), [1.96, 6.0])
 
 
 def test_noise_is_found_beside_structure() -> None:

@@ -8,7 +8,8 @@ temperature's slope make
 
 Held-out views then tell by how many s a temperature is wrong in 95 of 100 pixels, for small and for large s apart
 (split conformal prediction: Vovk, Gammerman and Shafer 2005). So an interval holds 95% on views like those of the
-capture. It says nothing of surfaces whose emissivity is another one than was assumed.
+capture. A level is one number for all pixels of an image, and a handful of held-out views knows few of them: an
+interval holds 95% of the levels of all training views, 1.96 times the drift, also where the held-out views need less. It says nothing of surfaces whose emissivity is another one than was assumed.
 """
 
 import json
@@ -45,6 +46,8 @@ LEVEL = 0.95
 """Share of pixels that intervals are to hold."""
 _NEAREST, _LOOKED_AT = 8, 24
 """Training views that are compared with, and those of which it is asked whether they see a point."""
+_NORMAL = 1.96
+"""Standard deviations of a normal distribution within which 95% lie."""
 _BINS = 4
 """Of s, each with a factor of its own."""
 _MOST_CALIBRATING = 12
@@ -84,7 +87,7 @@ class Calibration:
 
     def half_width(self, s: Array) -> Array:
         """Half of the interval for each s."""
-        return np.asarray(self.factors)[np.searchsorted(self.edges, s)] * s
+        return np.maximum(np.asarray(self.factors)[np.searchsorted(self.edges, s)] * s, _NORMAL * self.drift)
 
 
 @dataclass(frozen=True, eq=False)
