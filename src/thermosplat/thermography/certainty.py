@@ -9,7 +9,8 @@ temperature's slope make
 Held-out views then tell by how many s a temperature is wrong in 95 of 100 pixels, for small and for large s apart
 (split conformal prediction: Vovk, Gammerman and Shafer 2005). So an interval holds 95% on views like those of the
 capture. A level is one number for all pixels of an image, and a handful of held-out views knows few of them: an
-interval holds 95% of the levels of all training views, 1.96 times the drift, also where the held-out views need less. It says nothing of surfaces whose emissivity is another one than was assumed.
+interval holds 95% of the levels of all training views, 1.96 times the drift, also where the held-out views need less. It
+says nothing of surfaces whose emissivity is another one than was assumed.
 """
 
 import json
@@ -67,6 +68,8 @@ _LEAST_COSINE = 0.26
 """75° from straight on: emissivity of most surfaces falls beyond 60 to 70° (Minkina and Dudzik 2009)."""
 _DEPTHS_APART = 0.04
 """Share of a depth by which the spectra's may differ."""
+_SOLID = 0.5
+"""Opacity from which on a spectrum says how far away a surface is."""
 _TIMES_USUAL = 3.0
 """Times the usual disagreement (the picture's median) from which on that of views counts as a reflection, if it is also
 more than so many times the noise, and that of depths as two surfaces."""
@@ -226,13 +229,13 @@ class Certainty:
         values = torch.nn.functional.interpolate(
             self._measured(view)[None, None], (camera.height, camera.width), mode="area"
         )[0, 0]
-        return camera, values, self.model.render_depth(self.spectrum, camera)
+        return camera, values, self._surface(camera)[0]
 
     def _evidence(
         self, view: ViewTensors, values: Array, noise: float, drift: float
     ) -> tuple[Array, NDArray[np.uint8]]:
         """s of each pixel, and its doubts."""
-        depth = self.model.render_depth(self.spectrum, view)
+        depth, differ = self._surface(view)
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
         normals = _normals(depth, view)
@@ -265,21 +268,30 @@ class Certainty:
         usual = float(np.median(spread[surface])) if surface.any() else 0.0
         explained = np.hypot(slope, max(_TIMES_USUAL * usual, _TIMES_USUAL * noise))
         doubts[cv2.medianBlur(spread.astype(np.float32), 5) > explained] |= REFLECTING
-        doubts[self._depths_differ(view, depth)] |= DEPTHS_DIFFER
+        doubts[differ] |= DEPTHS_DIFFER
         doubts[_small(values, noise, depth, view, self._taken(order[0])[0] if order else view)] |= SMALL
         doubts[~surface] = NO_SURFACE
         return np.where(surface, s, np.nan), doubts
 
-    def _depths_differ(self, view: ViewTensors, depth: Tensor) -> NDArray[np.bool_]:
-        """Where another spectrum sees a surface at another depth."""
+    def _surface(self, view: ViewTensors) -> tuple[Tensor, NDArray[np.bool_]]:
+        """Depth of what a view sees, and where another spectrum sees a surface at another depth, both [H, W].
+
+        What is as cold as the range's lower end may be transparent in the spectrum: its depth there is another one's.
+        """
+        alphas = self.model.render(dict.fromkeys(self.model.spectra, view), sh_degree=self._sh_degree).alphas
+        solid = {name: alpha[..., 0] >= _SOLID for name, alpha in alphas.items()}
+        depth = self.model.render_depth(self.spectrum, view)
         differ = torch.zeros_like(depth, dtype=torch.bool)
         for other in self.model.spectra:
             if other != self.spectrum:
                 theirs = self.model.render_depth(other, view)
+                both = solid[self.spectrum] & solid[other]
                 apart = (theirs - depth).abs() / torch.minimum(theirs, depth).clamp(min=1e-9)
-                differ |= apart > max(_DEPTHS_APART, _TIMES_USUAL * float(apart[depth > 0].median().nan_to_num()))
+                usual = float(apart[both & (depth > 0)].median().nan_to_num())
+                differ |= both & (apart > max(_DEPTHS_APART, _TIMES_USUAL * usual))
+                depth = torch.where(~solid[self.spectrum] & solid[other], theirs, depth)
         opened = cv2.morphologyEx(differ.cpu().numpy().astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        return opened > 0
+        return depth, opened > 0
 
 
 def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
