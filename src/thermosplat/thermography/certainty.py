@@ -8,9 +8,9 @@ temperature's slope make
 
 Held-out views then tell by how many s a temperature is wrong in 95 of 100 pixels, for small and for large s apart
 (split conformal prediction: Vovk, Gammerman and Shafer 2005). So an interval holds 95% on views like those of the
-capture. A level is one number for all pixels of an image, and a handful of held-out views knows few of them: an
-interval holds 95% of the levels of all training views, 1.96 times the drift, also where the held-out views need less. It
-says nothing of surfaces whose emissivity is another one than was assumed.
+capture. A level is one number for all pixels of an image, and a handful of held-out views knows few of them. So no
+interval is narrower than 1.96 times the drift, which holds 95% of the levels of all training views. Intervals say
+nothing of surfaces whose emissivity is another one than was assumed.
 """
 
 import json
