@@ -29,11 +29,10 @@ from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.formations.saved_formations import as_trained, restored_formations
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
 from thermosplat.scene.harmonic_passes import blend_harmonics
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
 from thermosplat.scene.lens_distortion import nearest_distorted
-from thermosplat.scene.offloaded import stored_values
+from thermosplat.scene.offloaded import GaussiansInView, gaussians_in_view, stored_values
 from thermosplat.scene.packed_parameters import num_bytes, pack
 from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame

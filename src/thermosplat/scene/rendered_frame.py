@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from thermosplat.scene.gaussians_in_view import GaussiansInView
 from thermosplat.scene.lens_distortion import distorted
+from thermosplat.scene.offloaded import GaussiansInView
 
 if TYPE_CHECKING:
     from thermosplat.scene.formations.formation import Formation

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from thermosplat.fused.decoders import decode_branches
 from thermosplat.fused.decoders import teams as teams_of_shape
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 
 
 def teams(decoders: Decoders) -> tuple[int, ...]:

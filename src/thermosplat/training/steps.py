@@ -14,8 +14,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.refinement.camera_corrections import POSES
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.stop_signals import deferred_interrupts
-from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
-from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.frames.train_frames import SpectrumSchedule, TrainFrames
 from thermosplat.training.optimizers import set_betas
 from thermosplat.training.out_of_memory import is_out_of_memory
 from thermosplat.training.recorded_steps import RecordedSteps

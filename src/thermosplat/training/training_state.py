@@ -25,7 +25,7 @@ from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
 from thermosplat.training.frames.random_streams import start_stream
-from thermosplat.training.frames.spectrum_schedule import set_span
+from thermosplat.training.frames.train_frames import set_span
 from thermosplat.training.joined_scenes import Scene, seed_of_scene
 from thermosplat.training.optimizers import (
     gaussian_optimizers,

@@ -177,10 +177,8 @@ class RunLogger:
         due = record.step % self.log_every == 0 or record.step == self.max_steps
         if self._late is not None and (due or record.step >= self._late.step + LATE_BY):
             self._report_late()
-        if not due and not self.console.is_terminal:
-            return
         now = time.perf_counter()
-        if not due and now - self._refreshed < _REFRESH_SECONDS:
+        if not due and (now - self._refreshed < _REFRESH_SECONDS or not self.console.is_terminal):
             return
         self._refreshed = now
         if due or self.device.type == "cpu":

@@ -11,7 +11,7 @@ from thermosplat.training.new_scenes import of_passes
 from thermosplat.training.session.safekeeping import Safekeeping
 from thermosplat.training.session.training_parts import Training
 from thermosplat.training.sharing.shares import count_anew, divided_sets
-from thermosplat.training.stages.stage import Stage
+from thermosplat.training.step_kind import Stage
 
 
 class Beginnings:
