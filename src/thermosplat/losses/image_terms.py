@@ -157,13 +157,14 @@ def _losses_of_spectra(
     rendered: RenderedFrame, frame: "FrameTensors", config: TrainConfig
 ) -> dict[str, list[ImageTerm | LossTerm]]:
     """What each spectrum is compared by, as its formation says."""
-    latent, found = latent_channels(config.modelled), {}
+    found: dict[str, list[ImageTerm | LossTerm]] = {}
     for name, settings in config.modelled.items():
         view, formation = frame.views.get(name), rendered.formations.get(name)
         if view is None:
             continue
         if formation is None:
-            found[name] = terms_of_image(name, latent[name][0], rendered, view, settings, config.loss)
+            first, _ = latent_channels(config.modelled)[name]
+            found[name] = terms_of_image(name, first, rendered, view, settings, config.loss)
         else:
             found[name] = formation.losses(rendered, view, settings, config.loss)
     return found

@@ -24,7 +24,6 @@ from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
-from thermosplat.scene.feature_passes import blend_features
 from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.formations.saved_formations import as_trained, restored_formations
 from thermosplat.scene.formations.scene_formations import Formations
@@ -38,7 +37,7 @@ from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.scene.shared_cameras import views_by_camera
-from thermosplat.scene.views import Rendering, render_view_depth
+from thermosplat.scene.views import Rendering, blend_features, render_view_depth
 from thermosplat.spectra import model_spectra
 
 if TYPE_CHECKING:
