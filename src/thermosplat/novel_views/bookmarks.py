@@ -89,9 +89,6 @@ def write_bookmarks(path: Path, bookmarks: Sequence[Bookmark]) -> None:
 def read_bookmarks(path: Path) -> list[Bookmark]:
     """Read a bookmarks file.
 
-    Args:
-        path: The file.
-
     Raises:
         UserError: It cannot be read, is something else, or a bookmark of it is not a view.
     """

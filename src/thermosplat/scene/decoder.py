@@ -69,12 +69,7 @@ def with_fourier_features(features: Tensor, frequency: float) -> Tensor:
 
 
 def num_inputs(feature_dim: int, frequency: float) -> int:
-    """Channels of ``with_fourier_features``.
-
-    Args:
-        feature_dim: Channels d of the features.
-        frequency: ω.
-    """
+    """Channels of ``with_fourier_features``."""
     return feature_dim if frequency == 0 else 3 * feature_dim
 
 

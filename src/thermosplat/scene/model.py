@@ -198,11 +198,7 @@ class SceneModel(nn.Module):
         return rendered
 
     def seen(self, view: "ViewTensors") -> "ViewTensors":
-        """The view, with the projection that the scene was trained with.
-
-        Args:
-            view: Camera and pose.
-        """
+        """The view, with the projection that the scene was trained with."""
         return replace(view, unscented=True) if self.unscented else view
 
     def _to_render(self, name: str, views: Views, groups: Groups, sh_degree: int) -> Gaussians:

@@ -96,9 +96,6 @@ def some_offloaded(gaussians: nn.Module) -> bool:
 def stored_values(gaussians: nn.Module) -> dict[str, Tensor]:
     """A set's state as checkpoints take it. What is offloaded is copied to tensors of the CPU, so that packing it takes
     none of the device's memory.
-
-    Args:
-        gaussians: A set of Gaussians.
     """
     on_host = {name for name, value in gaussians.named_parameters() if isinstance(value, OffloadedParameter)}
     return {name: on_cpu(value) if name in on_host else value for name, value in gaussians.state_dict().items()}
@@ -161,13 +158,7 @@ def gaussians_in_view(
 
 @torch.no_grad()
 def indices_in_view(gaussians: Gaussians, views: Sequence["ViewTensors"], pixel_filter: PixelFilter) -> Tensor:
-    """Gaussians that the renderer draws for one of the views at least, in some spectrum; int64, ascending, [n].
-
-    Args:
-        gaussians: The set.
-        views: The cameras.
-        pixel_filter: How footprints are widened.
-    """
+    """Gaussians that the renderer draws for one of the views at least, in some spectrum; int64, ascending, [n]."""
     seen = torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
     opacities = gaussians.largest_opacities
     for first in range(0, len(gaussians), _PROJECTED_AT_ONCE):

@@ -66,11 +66,7 @@ class Rendering(NamedTuple):
 
 
 def camera_arguments(view: "ViewTensors") -> dict[str, Any]:
-    """What the rasterizer is told of a view's camera: pose, intrinsics, size, lens, and how its lines are read.
-
-    Args:
-        view: Camera and pose.
-    """
+    """What the rasterizer is told of a view's camera: pose, intrinsics, size, lens, and how its lines are read."""
     arguments = {"Ks": view.K[None], "width": view.width, "height": view.height, **_lens_arguments(view)}
     if view.readout is None:
         return {"viewmats": view.viewmat[None], **arguments}
@@ -80,22 +76,14 @@ def camera_arguments(view: "ViewTensors") -> dict[str, Any]:
 
 
 def projection_arguments(view: "ViewTensors") -> dict[str, Any]:
-    """``camera_arguments`` as ``project`` takes them.
-
-    Args:
-        view: Camera and pose.
-    """
+    """``camera_arguments`` as ``project`` takes them."""
     arguments = camera_arguments(view)
     of_lens = {name: arguments.pop(name) for name in LensArguments._fields if name in arguments}
     return {**arguments, "lens": LensArguments(**of_lens)}
 
 
 def _lens_arguments(view: "ViewTensors") -> dict[str, Any]:
-    """What the rasterizer is told of a view's lens: its camera model and coefficients, [1, n] each.
-
-    Args:
-        view: Camera and pose.
-    """
+    """What the rasterizer is told of a view's lens: its camera model and coefficients, [1, n] each."""
     if view.lens is None and view.orthographic:
         return {"camera_model": "ortho"}
     if view.lens is None:

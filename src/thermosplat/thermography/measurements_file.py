@@ -114,9 +114,6 @@ def _difference(pages: Pages, first: str, second: str) -> dict[str, Any]:
 def read_book(path: Path) -> tuple[Pages, list[Definition]]:
     """What a measurements.json holds.
 
-    Args:
-        path: The file.
-
     Returns:
         Its pages, of which measurements without numbers are missing; and all definitions, in their order.
 

@@ -87,11 +87,7 @@ def sh_degree_at(config: TrainConfig, step: int) -> int:
 
 
 class Stage:
-    """One thing that a training does from time to time: nothing, but for the methods that a stage has of its own.
-
-    Args:
-        training: What it works on.
-    """
+    """One thing that a training does from time to time: nothing, but for the methods that a stage has of its own."""
 
     def __init__(self, training: "Training") -> None:
         self.training = training

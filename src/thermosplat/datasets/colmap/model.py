@@ -130,12 +130,7 @@ def with_points(model: ColmapModel) -> tuple[ColmapModel, list[str]]:
 
 
 def missing_model(root: Path, images: Path) -> UserError:
-    """The error for a capture with images and without a model.
-
-    Args:
-        root: The capture's folder.
-        images: Its folder of images.
-    """
+    """The error for a capture with images and without a model."""
     found = ", ".join(describe_folder(folder) for folder in sorted(root.iterdir()) if folder.is_dir()) or "no folders"
     message = (
         f"No COLMAP model in {root}. Looked for cameras.bin or cameras.txt in: {', '.join(MODEL_FOLDERS)}. "
@@ -191,13 +186,7 @@ def _check_named_once(images: Sequence[RegisteredImage], folder: Path) -> None:
 
 
 def _name(image: pycolmap.Image, written: str | None, folder: Path) -> PurePosixPath:
-    """The name of a registered image, also of one that was registered on Windows.
-
-    Args:
-        image: The image.
-        written: What a text file calls it.
-        folder: The model's folder.
-    """
+    """The name of a registered image, also of one that was registered on Windows."""
     try:
         name = image.name if written is None else written
         name.encode()

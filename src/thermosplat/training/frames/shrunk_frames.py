@@ -26,11 +26,7 @@ _WHOLE = 1.0 - 1e-4
 
 
 class ShrunkFrames:
-    """The training frames at one size after the other.
-
-    Args:
-        frames: The frames at full size.
-    """
+    """The training frames at one size after the other."""
 
     def __init__(self, frames: "TrainFrames") -> None:
         self._frames = frames

@@ -129,12 +129,7 @@ class CorrectedFrames:
 
 
 class SomeFrames(Sequence[FrameTensors]):
-    """Some of the frames, made when they are looked at.
-
-    Args:
-        frames: All frames.
-        indices: Which of them.
-    """
+    """Some of the frames, made when they are looked at."""
 
     def __init__(self, frames: CorrectedFrames, indices: Sequence[int]) -> None:
         self._frames, self._indices = frames, indices
@@ -222,10 +217,6 @@ class FrameOrder:
 class SpectrumSchedule:
     """The frame of every step, with the views that the step trains on.
 
-    Args:
-        config: The whole configuration.
-        frames: The training frames.
-
     Raises:
         UserError: If some step would have no frame to learn from.
     """
@@ -245,19 +236,12 @@ class SpectrumSchedule:
         self.withhold(())
 
     def shuffle(self, seed: int) -> None:
-        """Take the frames in another order from now on.
-
-        Args:
-            seed: What it comes from.
-        """
+        """Take the frames in another order from now on."""
         self._seed = seed
         self.withhold(self._withheld)
 
     def withhold(self, indices: Collection[int]) -> None:
         """Train on all frames but these from now on.
-
-        Args:
-            indices: Training frames, by index.
 
         Raises:
             UserError: If some step would have no frame to learn from.

@@ -72,13 +72,7 @@ class Beginnings:
 
 
 class SceneStage(Stage):
-    """Several scenes, of which the last that start are all of them in one.
-
-    Args:
-        training: What it works on.
-        beginnings: How the next one starts.
-        keeping: Gathers the scene of all ranks.
-    """
+    """Several scenes, of which the last that start are all of them in one."""
 
     def __init__(self, training: Training, beginnings: Beginnings, keeping: Safekeeping) -> None:
         super().__init__(training)
