@@ -44,7 +44,6 @@ def run_metrics(
         "model_bytes": model.num_bytes,
         "feature_channels": feature_channels(model),
         "opacity_offsets_kept": offsets_kept(model),
-        "point_spreads": model.formations.found("point_spread"),
         "formations": {name: dict(model.formations[name].numbers()) for name in model.spectra},
         **beside,
     }
