@@ -30,8 +30,7 @@ from thermosplat.config import DecoderConfig
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.devices import choose_device
 from thermosplat.runs.environment import environment
-from thermosplat.scene.decoder import Decode
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decode, Decoders
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, model_spectra
 from thermosplat.training.fast_decoders import FastDecoders, can_compile
 from thermosplat.training.fused_decoders import FusedDecoders, teams

@@ -72,19 +72,12 @@ def cpu_step_kernels(channels: int, thermal_channels: int) -> list[wp.Kernel]:
 
 
 def must_compile_for_cpu(kernels: list[wp.Kernel]) -> bool:
-    """Whether Warp's cache lacks one of them.
-
-    Args:
-        kernels: any.
-    """
+    """Whether Warp's cache lacks one of them."""
     return must_compile(kernels, wp.get_device("cpu"))
 
 
 def compile_for_cpu(kernels: list[wp.Kernel]) -> None:
     """Compiles kernels for the CPU on all its cores, or loads them from the cache. Nothing else is compiled meanwhile.
-
-    Args:
-        kernels: any.
 
     Raises:
         KernelCacheError: if Warp's cache cannot be read or written.

@@ -139,11 +139,7 @@ def safe_output() -> Iterator[None]:
 
 @contextmanager
 def help_printed(words: Iterable[str]) -> Iterator[None]:
-    """Around a library that prints help in colours and lines; it repeats words, which are escaped if they need it.
-
-    Args:
-        words: What the user typed.
-    """
+    """Around a library that prints help in colours and lines; it repeats words, which are escaped if they need it."""
     output, errors = sys.stdout, sys.stderr
     if not (isinstance(output, _Output) and isinstance(errors, _Output)):
         yield

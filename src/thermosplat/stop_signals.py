@@ -16,11 +16,7 @@ _raised: list["Stopped"] = []
 
 
 class Stopped(KeyboardInterrupt):
-    """Ctrl-C, SIGTERM or SIGHUP: ends what Ctrl-C ends.
-
-    Args:
-        number: The signal.
-    """
+    """Ctrl-C, SIGTERM or SIGHUP: ends what Ctrl-C ends."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)

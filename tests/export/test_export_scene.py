@@ -9,7 +9,7 @@ import torch
 
 from thermosplat.errors import UserError
 from thermosplat.export.scene import export_scene, spectrum_splats
-from thermosplat.scene.fourier_features import with_fourier_features
+from thermosplat.scene.decoder import with_fourier_features
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
 from toy_scene import toy_capture, toy_config, toy_model

@@ -11,7 +11,7 @@ import warp as wp
 from thermosplat.config import DecoderConfig
 from thermosplat.fused import decoders as fused_decoders
 from thermosplat.fused.decoders import teams_within
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 from thermosplat.spectra import Spectrum
 from thermosplat.training.fast_decoders import FastDecoders
 from thermosplat.training.fused_decoders import FusedDecoders, teams

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
-from thermosplat.losses.image_terms import image_loss
-from thermosplat.losses.spectrum_losses import smoothness
+from thermosplat.losses.image_terms import image_loss, smoothness
 from warp_kernels.image_loss.image_loss_step import ImageLossSettings, image_losses
 
 

@@ -4,7 +4,7 @@ import kornia
 import pytest
 import torch
 
-from thermosplat.image_quality.window_filter import window_filter
+from thermosplat.image_quality.ssim import window_filter
 
 WINDOW = kornia.filters.get_gaussian_kernel1d(11, 1.5, dtype=torch.float64)
 

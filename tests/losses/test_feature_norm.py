@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.losses.feature_norm import feature_norm_loss
+from thermosplat.losses.gaussian_penalties import feature_norm_loss
 
 
 def test_squared_distance_from_unit_length() -> None:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.losses.spectrum_balance import balanced_losses
+from thermosplat.losses.image_terms import balanced_losses
 
 
 def test_the_larger_set_weighs_less() -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 from thermosplat.spectra import Spectrum
 
 RGB = Spectrum("rgb", 3, "photograph", "shared", (0, 3), "thermal")

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene import decoding_in_parts
-from thermosplat.scene.decoding_in_parts import decode_in_parts
+from thermosplat.scene import decoder as decoder_module
+from thermosplat.scene.decoder import decode_in_parts
 from thermosplat.scene.formations.kinds import make_decoder
 from toy_scene import toy_capture, toy_config, toy_model
 
@@ -25,7 +25,7 @@ def test_parts_are_the_image(branches: str, monkeypatch: pytest.MonkeyPatch) -> 
         heights.append(len(some["rgb"]))
         return decoder.decode(some)
 
-    monkeypatch.setattr(decoding_in_parts, "PIXELS_AT_ONCE", 4 * 7 + 3)
+    monkeypatch.setattr(decoder_module, "PIXELS_AT_ONCE", 4 * 7 + 3)
     whole = decode_in_parts(decode, inputs)
     with torch.no_grad():
         parts = decode_in_parts(decode, inputs)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from thermosplat.scene.fourier_features import num_inputs, with_fourier_features
+from thermosplat.scene.decoder import num_inputs, with_fourier_features
 
 
 def test_values_and_gradients() -> None:

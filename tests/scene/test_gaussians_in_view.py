@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
-from thermosplat.scene import gaussians_in_view as subject
-from thermosplat.scene.gaussians_in_view import GaussiansInView, indices_in_view
+from thermosplat.scene import offloaded as subject
 from thermosplat.scene.model import SceneModel
-from thermosplat.scene.offloaded import OffloadedParameter, offload, stored_values
+from thermosplat.scene.offloaded import GaussiansInView, OffloadedParameter, indices_in_view, offload, stored_values
 from thermosplat.scene.pixel_filter import PixelFilter
 from toy_scene import toy_capture, toy_config, toy_model
 

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 from thermosplat.scene.formations.kinds import make_decoder
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.spectra import Spectrum

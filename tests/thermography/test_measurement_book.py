@@ -100,7 +100,7 @@ def test_undo_takes_back_each_change(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda content: content.update(format="other"), "expected .*thermosplat-measurements"),
+        (lambda content: content.update(format="other"), "no .*thermosplat-measurements"),
         (lambda content: content["measurements"][0].update(shape="blob"), "measurement 1: blob is no shape"),
         (lambda content: content["measurements"][0].update(places_px=[]), "measurement 1 is none .*1 to 1 places"),
         (lambda content: content["measurements"][0]["view"].update(width=10**9), "view is no picture"),

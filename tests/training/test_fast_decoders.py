@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from thermosplat.config import DecoderConfig, ModelConfig, TrainConfig
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.spectra import Spectrum
 from thermosplat.training import fast_decoders

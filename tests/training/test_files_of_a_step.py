@@ -9,8 +9,8 @@ from thermosplat.config import DensificationConfig
 from toy_run import many_frames, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
-MOST = 42
-MOST_OF_TRAINING = 14
+MOST = 28
+MOST_OF_TRAINING = 11
 
 
 def test_a_training_step_enters_few_files(tmp_path: Path) -> None:

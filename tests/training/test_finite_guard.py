@@ -9,7 +9,7 @@ from torch import Tensor
 
 from thermosplat.fused.finite_check import note_by_warp
 from thermosplat.torch_bridge import arrays as warp_bridge
-from thermosplat.training.finite_guard import FiniteGuard, note_by_torch
+from thermosplat.training.optimizers import FiniteGuard, note_by_torch
 
 
 def _losses(**values: float) -> dict[str, Tensor]:

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 from thermosplat.spectra import Spectrum
 from thermosplat.training import fused_decoders
 from thermosplat.training.fused_decoders import FusedDecoders, teams

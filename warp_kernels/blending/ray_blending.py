@@ -100,9 +100,6 @@ def ray_functions(dtype: type):
 def ray_blend_kernel(variant: RayVariant) -> wp.Kernel:
     """The forward kernel, one thread per pixel.
 
-    Args:
-        variant: what is blended.
-
     Returns:
         The Warp kernel.
     """
@@ -184,9 +181,6 @@ def ray_blend_kernel(variant: RayVariant) -> wp.Kernel:
 @made_once
 def ray_blend_adjoint_kernel(variant: RayVariant) -> wp.Kernel:
     """The adjoint kernel, one thread per pixel, from the last pair that was drawn to the first.
-
-    Args:
-        variant: what was blended.
 
     Returns:
         The Warp kernel. It adds to the Gaussians' gradients and stores those of rays.

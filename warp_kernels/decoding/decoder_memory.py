@@ -175,9 +175,6 @@ def feature_reader(inputs: int) -> wp.Function:
 
     What multiplies the 1 is summed like a weight's gradient, and is a bias's.
 
-    Args:
-        inputs: columns of features, of INPUTS.
-
     Returns:
         A function (matrix, first pixel, lane) -> packed.
     """
@@ -253,9 +250,6 @@ def read_gradient(image: MATRIX, v_image: MATRIX, factor: wp.float32, pixel: int
 @made_once
 def feature_writer(inputs: int) -> wp.Function:
     """What brings a warp's pixels to a matrix [pixels, channels], scaled back.
-
-    Args:
-        inputs: columns of features, of INPUTS.
 
     Returns:
         A function (sums, matrix, what to multiply by, first pixel, lane).

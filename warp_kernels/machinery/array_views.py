@@ -74,11 +74,7 @@ class ArrayView:
         self.ptr, self.packed = ptr, _pack_address(ptr) + layout.packed
 
     def place(self, ptr: int) -> None:
-        """Puts the array elsewhere: to where its memory's content was moved.
-
-        Args:
-            ptr: address.
-        """
+        """Puts the array elsewhere: to where its memory's content was moved."""
         self.ptr, self.packed = ptr, _pack_address(ptr) + self._layout.packed
 
     @property
@@ -143,10 +139,6 @@ class ArrayView:
 def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
     """Strides of elements that follow one another.
 
-    Args:
-        shape: extents.
-        dtype: Warp type of an element.
-
     Returns:
         The strides [bytes].
     """
@@ -162,11 +154,6 @@ def nothing(dtype: Any, ndim: int, device: wp.Device) -> ArrayView:
     """An array without elements, for one that there is not; always the same, so not to be given a gradient.
 
     Kernels take None for it; this is for code that asks an array for its shape or its gradient.
-
-    Args:
-        dtype: Warp type of an element.
-        ndim: number of dimensions.
-        device: any.
 
     Returns:
         The array.

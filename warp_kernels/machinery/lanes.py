@@ -14,12 +14,7 @@ LANES_CUDA = 32
 
 
 def on_cuda(source: str, otherwise: str = "") -> str:
-    """A snippet that has its body on CUDA only.
-
-    Args:
-        source: the body.
-        otherwise: what stands there on the CPU.
-    """
+    """A snippet that has its body on CUDA only."""
     return f"\n#if defined(__CUDA_ARCH__)\n{source}\n#else\n{otherwise}\n#endif\n"
 
 

@@ -40,9 +40,6 @@ class KernelCacheError(OSError):
 def made_once(make: Callable[Arguments, Made]) -> Callable[Arguments, Made]:
     """As ``functools.cache``, for what makes kernels and their functions: threads that need the same get the same.
 
-    Args:
-        make: takes hashable arguments.
-
     Returns:
         A function that makes it when it is first asked for it.
     """
@@ -104,10 +101,6 @@ def must_compile(kernels: list[wp.Kernel], device: wp.Device) -> bool:
 
 def load_for_cpu(kernels: list[wp.Kernel], workers: int) -> None:
     """Loads kernels side by side, which is safe for modules that differ.
-
-    Args:
-        kernels: launched on the CPU.
-        workers: threads that compile.
 
     Raises:
         KernelCacheError: if the folder for compiled kernels cannot be read or written.

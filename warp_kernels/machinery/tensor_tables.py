@@ -85,11 +85,7 @@ def addresses(tensors: Sequence[wp.array]) -> Addresses:
 
 
 def counts(values: Sequence[int]) -> Counts:
-    """A table of numbers.
-
-    Args:
-        values: at most PLACES.
-    """
+    """A table of numbers."""
     return _filled(Counts, values)
 
 

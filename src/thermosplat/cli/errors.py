@@ -90,12 +90,7 @@ def _refusal_of(error: Exception) -> tuple[str, str] | None:
 
 
 def print_error(message: str, hint: str = "") -> None:
-    """Print a red panel on stderr.
-
-    Args:
-        message: What is wrong.
-        hint: What to do about it.
-    """
+    """Print a red panel on stderr."""
     lines = [Text(printable(message))]
     if hint:
         lines += [Text(), Text(printable(hint), style="bold")]

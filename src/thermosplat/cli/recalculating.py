@@ -42,11 +42,7 @@ def asked_temperatures(
 
 
 def known_scale(capture: "Capture | None") -> float | None:
-    """Length of a world unit of a capture [m]: 1 with a calibrated rig, else by GPS; None: nobody knows.
-
-    Args:
-        capture: The capture.
-    """
+    """Length of a world unit of a capture [m]: 1 with a calibrated rig, else by GPS; None: nobody knows."""
     from thermosplat.export.maps.georeference import georeferenced_frame
 
     if capture is None:

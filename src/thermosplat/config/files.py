@@ -98,11 +98,7 @@ def to_yaml(config: TrainConfig) -> str:
 
 
 def with_given_steps(values: dict[str, Any]) -> dict[str, Any]:
-    """Settings that give a number of steps mean it, whatever the steps of their base are meant for.
-
-    Args:
-        values: Some settings, by today's names.
-    """
+    """Settings that give a number of steps mean it, whatever the steps of their base are meant for."""
     return {"steps_for_views": None, "noisy_steps": 1.0, **values} if "max_steps" in values else values
 
 

@@ -55,12 +55,7 @@ class Gone:
         return any(value == neutral for neutral in self.neutral)
 
     def said(self, name: str, value: Any) -> str:
-        """What to tell a user whose value is another one.
-
-        Args:
-            name: What the user calls the setting.
-            value: The value.
-        """
+        """What to tell a user whose value is another one."""
         return f"{name} is no setting any more, found {shown(value)}. {self.why or f'It is always {self.neutral[0]}.'}"
 
 

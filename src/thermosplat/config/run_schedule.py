@@ -73,23 +73,12 @@ def _asked_by_capture(config: TrainConfig, views: int, noisy: Sequence[str]) -> 
 
 
 def _capture_factor(config: TrainConfig, asked: Mapping[str, float]) -> float:
-    """How many times the configuration's steps a capture gets.
-
-    Args:
-        config: The configuration.
-        asked: What it asks for.
-    """
+    """How many times the configuration's steps a capture gets."""
     return max(1.0, min(math.prod(asked.values()), LONGEST / config.max_steps))
 
 
 def steps_note(config: TrainConfig, views: int, noisy: Sequence[str]) -> tuple[str, ...]:
-    """What to tell a user whose capture gets more steps; nothing where it does not.
-
-    Args:
-        config: The configuration as it was given.
-        views: Training views of the capture.
-        noisy: The spectra whose images are noisy.
-    """
+    """What to tell a user whose capture gets more steps; nothing where it does not."""
     asked = _asked_by_capture(config, views, noisy)
     factor = _capture_factor(config, asked)
     if factor == 1:

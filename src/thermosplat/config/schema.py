@@ -6,6 +6,7 @@ method this package implements; "open choice" marks what that paper leaves open.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
@@ -333,7 +334,7 @@ class TrainConfig:
     resolution: ResolutionConfig = field(default_factory=ResolutionConfig)
     auto_budget: AutoBudgetConfig = field(default_factory=AutoBudgetConfig)
 
-    @property
+    @cached_property
     def modelled(self) -> dict[str, SpectrumConfig]:
         """The spectra that are trained and rendered, by name, in order."""
         return {name: spectrum for name, spectrum in self.spectra.items() if name not in self.without}

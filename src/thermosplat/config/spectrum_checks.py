@@ -15,7 +15,7 @@ RESERVED = frozenset(
         *("all", "both", "data", "decoders", "evaluation", "exposures", "features", "frame", "gaussians", "loss"),
         *("pixels", "points", "scene", "shared", "spectra", "step", "steps", "train", "test", "visible"),
         *("num_gaussians", "train_seconds", "wall_seconds", "first_step_seconds", "lpips_net", "model_bytes"),
-        *("feature_channels", "opacity_offsets_kept", "point_spreads", "training_views", "remarks", "formations"),
+        *("feature_channels", "opacity_offsets_kept", "training_views", "remarks", "formations"),
         # what torch's ModuleDict and ParameterDict, which hold networks by spectrum, call their own
         *("add_module", "apply", "bfloat16", "buffers", "call_super_init", "children", "clear", "compile", "copy"),
         *("cpu", "cuda", "double", "dump_patches", "eval", "extra_repr", "float", "forward", "fromkeys", "get"),

@@ -78,11 +78,7 @@ _SHOWN = 60
 
 
 def shortened(text: str) -> str:
-    """A text as it is shown in a message: cut to some 60 characters.
-
-    Args:
-        text: Any text.
-    """
+    """A text as it is shown in a message: cut to some 60 characters."""
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 

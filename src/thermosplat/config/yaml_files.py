@@ -26,9 +26,6 @@ _LONGEST_REASON = 120
 def read_yaml(path: Path) -> dict[str, Any]:
     """The keys and values of a YAML file, as plain dictionaries, lists, texts and numbers.
 
-    Args:
-        path: The file.
-
     Raises:
         UserError: It cannot be read, is no YAML of keys and values, or has what is refused (see above).
     """

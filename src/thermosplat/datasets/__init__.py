@@ -29,9 +29,6 @@ _LONGEST_PATH = 4096
 def capture_of(config: TrainConfig) -> Capture:
     """Read the capture that a configuration names, as it asks for.
 
-    Args:
-        config: The configuration.
-
     Raises:
         UserError: As ``load_capture``.
     """

@@ -169,11 +169,7 @@ class Capture:
         return any(view.camera.lens is not None or view.readout is not None for view in views)
 
     def training_frames(self, spectra: Collection[str]) -> list[Frame]:
-        """The training frames with the views of some spectra alone; those without any are left out.
-
-        Args:
-            spectra: Names of the spectra.
-        """
+        """The training frames with the views of some spectra alone; those without any are left out."""
         frames = (
             replace(frame, views={name: view for name, view in frame.views.items() if name in spectra})
             for frame in self.train

@@ -12,12 +12,7 @@ from thermosplat.spectra import SpectrumConfig, label, listed
 
 
 def pairing_notes(frames: Sequence[Frame], spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """Say how many frames lack an image of a spectrum that others have.
-
-    Args:
-        frames: All frames.
-        spectra: The spectra that were looked for.
-    """
+    """Say how many frames lack an image of a spectrum that others have."""
     notes = []
     for name in spectra:
         lone = [frame for frame in frames if name not in frame.views]
@@ -32,11 +27,6 @@ def pairing_notes(frames: Sequence[Frame], spectra: Mapping[str, SpectrumConfig]
 
 def mask_notes(frames: Sequence[Frame], files: Sequence[FrameFiles], root: Path) -> list[str]:
     """Say of which images some pixels do not count, and which masks are of no image.
-
-    Args:
-        frames: All frames.
-        files: Their files.
-        root: The capture's folder.
 
     Raises:
         UserError: No pixel of a spectrum counts.

@@ -86,6 +86,12 @@ class FrameTensors:
         ]
         return [tensor for tensor in (*tensors, self.index) if tensor is not None]
 
+    @property
+    def num_bytes(self) -> int:
+        """Memory of the images and values [bytes]."""
+        kept = (held for view in self.views.values() for held in (view.image, view.intensity, view.values, view.mask))
+        return sum(held.numel() * held.element_size() for held in kept if isinstance(held, Tensor))
+
     def only(self, spectra: Collection[str]) -> "FrameTensors":
         """The frame with the views of some spectra alone."""
         if set(self.views) <= set(spectra):

@@ -48,10 +48,6 @@ class GroundTruth:
 def read_ground_truth(capture: Capture, frame: Frame) -> GroundTruth | None:
     """Ground truth of a frame, resampled to the size of its images (nearest pixel, by the pixels' centres).
 
-    Args:
-        capture: The frame's capture.
-        frame: The frame.
-
     Returns:
         None where the capture has none for it, or where its views do not share a camera.
 

@@ -40,10 +40,6 @@ def keep_images(capture: Capture, result_folder: Path) -> list[str]:
 
 
 def forget_images(capture: Capture) -> None:
-    """Delete what ``keep_images`` has kept: nobody will train on it any more.
-
-    Args:
-        capture: The capture.
-    """
+    """Delete what ``keep_images`` has kept: nobody will train on it any more."""
     if capture.on_disk is not None:
         capture.on_disk.cache.close()

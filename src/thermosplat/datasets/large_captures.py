@@ -50,11 +50,7 @@ def processes_here() -> int:
 
 
 class Headers:
-    """What the files of a capture say of their images.
-
-    Args:
-        frames: The frames.
-    """
+    """What the files of a capture say of their images."""
 
     def __init__(self, frames: Sequence[FrameFiles]) -> None:
         paths = {path for frame in frames for shot in frame.shots.values() for path in shot.files}
@@ -70,10 +66,6 @@ class Headers:
     def taken_at_once(self, frames: Sequence[FrameFiles], size: TrainedSize) -> int:
         """Memory that the images of all frames take while they are read, and as views [bytes]; of files that cannot be
         read nothing.
-
-        Args:
-            frames: The frames.
-            size: What makes images smaller.
         """
         total = 0
         for shot in (shot for frame in frames for shot in frame.shots.values()):

@@ -27,10 +27,6 @@ other good captures 1.0 to 1.5. Open choice."""
 def check_camera(shot: Shot, root: Path) -> None:
     """Refuse an image whose camera has no possible focal length, size or place: no render looks like it.
 
-    Args:
-        shot: The image.
-        root: The capture's folder.
-
     Raises:
         UserError: Names the image and what its camera is said to be.
     """
@@ -60,12 +56,7 @@ def check_camera(shot: Shot, root: Path) -> None:
 
 
 def outlying_notes(frames: Sequence[FrameFiles], root: Path) -> list[str]:
-    """A note (none or one) on cameras that lie far from where the others are.
-
-    Args:
-        frames: All frames.
-        root: The capture's folder.
-    """
+    """A note (none or one) on cameras that lie far from where the others are."""
     shots = [frame.shots[frame.leading] for frame in frames]
     centers = np.array([camera_center(shot.viewmat) for shot in shots])
     distances = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)

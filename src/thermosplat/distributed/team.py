@@ -19,11 +19,7 @@ Answer = TypeVar("Answer")
 
 
 class EndedElsewhere(BaseException):
-    """Another rank failed and says so: this one ends quietly.
-
-    Args:
-        code: The exit code.
-    """
+    """Another rank failed and says so: this one ends quietly."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"Another rank ended with code {code}.")

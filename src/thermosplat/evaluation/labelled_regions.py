@@ -46,11 +46,7 @@ class Column(NamedTuple):
 
 
 def region_columns(regions: Iterable[Mapping[str, Any]]) -> list[Column]:
-    """The columns of a table of regions.
-
-    Args:
-        regions: Numbers of some regions.
-    """
+    """The columns of a table of regions."""
     found = {
         name: dict.fromkeys(measure for numbers in regions for measure in numbers.get(name) or {})
         for name in dict.fromkeys(name for numbers in regions for name in numbers if name != PIXELS)

@@ -163,11 +163,7 @@ class LoadedRun:
         return SceneTemperatures(self.model, self.scales, made, metres_per_unit=metres_per_unit, labels=labels)
 
     def certainties(self, capture: Capture) -> dict[str, Certainty]:
-        """How sure measured values are, by spectrum; found when it is first asked for, and kept in the run.
-
-        Args:
-            capture: The run's capture.
-        """
+        """How sure measured values are, by spectrum; found when it is first asked for, and kept in the run."""
         stats = self.directory.stats if self.directory.holds_a_run() else None
         name = self.result_name(capture)
         return {

@@ -44,9 +44,6 @@ _LONGEST_LOG = 256 << 20
 def write_results_page(run: RunDirectory) -> Path | None:
     """Write ``index.html`` of a result folder; an earlier one of ours is replaced.
 
-    Args:
-        run: The result folder.
-
     Returns:
         The page; None where a file of that name is somebody else's, which stays.
 

@@ -157,11 +157,6 @@ def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -
 def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
     """What each Gaussian measures in a spectrum [its unit], [N]: decoded from its own features, or from its harmonics.
 
-    Args:
-        model: The trained scene.
-        name: A spectrum that is measured.
-        scales: What pixel values mean.
-
     Raises:
         ValueError: The spectrum has no unit.
     """

@@ -67,3 +67,15 @@ def _total(penalties: list[Tensor]) -> Tensor:
     for penalty in penalties[1:]:
         total = total + penalty
     return total
+
+
+def feature_norm_loss(features: Tensor) -> Tensor:
+    """Mean over the Gaussians of (|f| - 1)²: features stay near unit length. MS-Splatting.
+
+    Args:
+        features: Latent features, shape [N, d].
+
+    Returns:
+        The loss, a scalar.
+    """
+    return (features.norm(dim=-1) - 1.0).square().mean()

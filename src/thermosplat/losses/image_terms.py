@@ -5,17 +5,17 @@ Images are [H, W, C] in [0, 1]; renders are the raw, unclamped ones.
 The SSIM term is 1 - SSIM, as in 3DGS. kornia's ready-made loss is half of that and would halve λ_s silently.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
+from kornia.losses import total_variation
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
 from thermosplat.image_quality.ssim import ssim_map
-from thermosplat.losses.spectrum_losses import SPECTRUM_LOSSES
 from thermosplat.scene.formations.image_terms import LossTerm, masked
 from thermosplat.scene.formations.image_terms import image_terms as terms_of_image
 from thermosplat.scene.rendered_frame import RenderedFrame
@@ -23,6 +23,27 @@ from thermosplat.spectra import latent_channels
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors
+
+
+def smoothness(image: Tensor, target: Tensor | None = None) -> Tensor:
+    """Mean over pixels and channels of |∂x| + |∂y|, forward differences without wrap-around (equation 12).
+
+    Normalised by H·W·C, as ThermalGaussian does; kornia's own mean would divide each direction by the number of its
+    differences instead.
+
+    Args:
+        image: Image, shape [H, W, C].
+        target: Not looked at.
+
+    Returns:
+        The smoothness term, a scalar.
+    """
+    return total_variation(image.permute(2, 0, 1), reduction="sum").sum() / image.numel()
+
+
+SPECTRUM_LOSSES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {"smoothness": smoothness}
+"""By the field of ``SpectrumConfig`` that weighs it, each loss as a function of the render and its image, [H, W, C].
+``losses.image_terms`` calls the term "<spectrum>_<field>"."""
 
 
 @dataclass(frozen=True)
@@ -136,13 +157,14 @@ def _losses_of_spectra(
     rendered: RenderedFrame, frame: "FrameTensors", config: TrainConfig
 ) -> dict[str, list[ImageTerm | LossTerm]]:
     """What each spectrum is compared by, as its formation says."""
-    latent, found = latent_channels(config.modelled), {}
+    found: dict[str, list[ImageTerm | LossTerm]] = {}
     for name, settings in config.modelled.items():
         view, formation = frame.views.get(name), rendered.formations.get(name)
         if view is None:
             continue
         if formation is None:
-            found[name] = terms_of_image(name, latent[name][0], rendered, view, settings, config.loss)
+            first, _ = latent_channels(config.modelled)[name]
+            found[name] = terms_of_image(name, first, rendered, view, settings, config.loss)
         else:
             found[name] = formation.losses(rendered, view, settings, config.loss)
     return found
@@ -217,3 +239,25 @@ def _unweighted(terms: Sequence[ImageTerm], ssim_lambda: float) -> dict[str, Ten
         for term, values in zip(members, by_channel.split([term.render.shape[-1] for term in members])):
             losses[term.name] = values.mean()
     return losses
+
+
+def balanced_losses(
+    losses: Mapping[str, Tensor], spectra: Mapping[str, str], num_gaussians: Mapping[str, int]
+) -> dict[str, Tensor]:
+    """Loss terms, each multiplied by the share of all Gaussians that the other spectra have, mean over those.
+
+    ThermalGaussian's regularisation of MSMG: the larger a spectrum's set, the less its losses weigh, and with them the
+    gradients that densification compares with its threshold, so that sets hold each other's growth in check. (Adam's
+    updates hardly depend on the scale of a loss.)
+
+    Args:
+        losses: Weighted terms by name.
+        spectra: The spectrum of each term that is one spectrum's.
+        num_gaussians: Gaussians by spectrum, whose set it is; two at least.
+
+    Returns:
+        The same terms. With two sets of one size every factor is 1/2.
+    """
+    total, others = sum(num_gaussians.values()), len(num_gaussians) - 1
+    factors = {name: (total - count) / (total * others) for name, count in num_gaussians.items()}
+    return {name: factors[spectra[name]] * loss if name in spectra else loss for name, loss in losses.items()}

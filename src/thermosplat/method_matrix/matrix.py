@@ -100,10 +100,6 @@ class Matrix:
 
         A step is taken to last as long as those of the method's finished cells, or of all finished ones where it has
         none. Cells of equal length keep their order.
-
-        Args:
-            cells: The cells.
-            finished: The cells whose times are known.
         """
         times: dict[str, list[float]] = {}
         for cell, result in finished.items():

@@ -102,9 +102,6 @@ def write_panels(
 def read_panels(folder: Path) -> dict[tuple[str, str], Panels]:
     """The pictures of a cell by frame and spectrum; none where it has none.
 
-    Args:
-        folder: The cell's run folder.
-
     Raises:
         UserError: A picture is missing or damaged.
     """

@@ -73,9 +73,6 @@ The ten scenes of ThermoScenes are those of ThermoNeRF's first edition (arXiv 24
 def expand_collections(words: Iterable[str]) -> tuple[list[str], list[str]]:
     """Write ``rgbt-scenes=FOLDER`` and ``thermoscenes=FOLDER`` out as the scenes in that folder.
 
-    Args:
-        words: Scenes of a command line.
-
     Returns:
         The words as ``parse_scenes`` takes them, and sentences on what the folders lack.
 

@@ -75,11 +75,6 @@ class Results:
     def add(self, result: CellResult, source: Path, folder: Path | None = None) -> None:
         """Add a cell, unless it is there already.
 
-        Args:
-            result: The cell.
-            source: The file it comes from.
-            folder: Its run folder.
-
         Raises:
             UserError: It is there with other settings.
         """

@@ -24,12 +24,10 @@ from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.novel_views.camera_paths import Matrices, interpolated_path
-from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_text
+from thermosplat.runs.documents import read_document
 
 FORMAT, VERSION = "thermosplat-bookmarks", 1
-LARGEST_FILE = 16 << 20
-"""Bytes of a file that is read at all: some 40,000 bookmarks."""
 FURTHEST = 1e9
 """Of a view's place [world units]: its square is still far within float32."""
 FOVS = 0.1, 179.0
@@ -89,26 +87,11 @@ def write_bookmarks(path: Path, bookmarks: Sequence[Bookmark]) -> None:
 def read_bookmarks(path: Path) -> list[Bookmark]:
     """Read a bookmarks file.
 
-    Args:
-        path: The file.
-
     Raises:
         UserError: It cannot be read, is something else, or a bookmark of it is not a view.
     """
     hint = "Save bookmarks in thermosplat-view, and give the file that it names."
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise UserError(f"{path} is too large for a bookmarks file: more than {LARGEST_FILE >> 20} MiB.", hint)
-        content = json.loads(read_regular(path))
-    except OSError as error:
-        raise UserError(f"Cannot read the bookmarks {path}: {error.strerror or error}.", hint) from error
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not a bookmarks file: it is no JSON.", hint) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise UserError(f'{path} is not a bookmarks file: it has no "format": "{FORMAT}".', hint)
-    if content.get("version") != VERSION:
-        raise UserError(f"{path} has bookmarks of version {content.get('version')!r}, expected {VERSION}.", hint)
-    entries = content.get("bookmarks")
+    entries = read_document(path, "bookmarks", VERSION, hint).get("bookmarks")
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path} has no bookmarks in it.", hint)
     return [_bookmark(entry, number, path) for number, entry in enumerate(entries, 1)]

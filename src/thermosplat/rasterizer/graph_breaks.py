@@ -17,9 +17,6 @@ def not_compiled(function: Function) -> Function:
 
     Whoever compiles has imported it; until then there is nothing to disable.
 
-    Args:
-        function: Any.
-
     Returns:
         The function, called as it is by compiled code.
     """
@@ -48,11 +45,7 @@ def refuse_transforms() -> None:
 
 
 def disabled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``torch.compiler.disable`` for a function, made once. The compiler is imported.
-
-    Args:
-        function: Any.
-    """
+    """``torch.compiler.disable`` for a function, made once. The compiler is imported."""
     if function not in DISABLED:
         DISABLED[function] = torch.compiler.disable(function)
     return DISABLED[function]

@@ -32,9 +32,6 @@ lost with a factor of 4.8 (benchmarks/records/refinement.md)."""
 def correction_summary(corrections: CameraCorrections) -> dict[str, Any]:
     """How far the cameras moved.
 
-    Args:
-        corrections: What was learnt.
-
     Returns:
         Of what was refined: "poses", the medians over the frames; "rig", "focal_factors" and "distortion" by spectrum,
         each a list of its cameras. Angles in degrees, distances in world units.

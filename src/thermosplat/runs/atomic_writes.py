@@ -95,9 +95,6 @@ def open_to_append(path: Path) -> IO[bytes]:
 def check_is_plain(file: int) -> None:
     """Whether an open file is a regular one that has no other name, under which it might lie outside of a folder.
 
-    Args:
-        file: The file's descriptor.
-
     Raises:
         OSError: It is not.
     """

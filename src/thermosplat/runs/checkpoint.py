@@ -299,11 +299,7 @@ def _are_seconds(value: Any) -> bool:
 
 @contextmanager
 def damage_explained(part: str) -> Iterator[None]:
-    """Around what makes an object of a checkpoint's content: what that lacks is a user's error.
-
-    Args:
-        part: What of the checkpoint it is.
-    """
+    """Around what makes an object of a checkpoint's content: what that lacks is a user's error."""
     try:
         yield
     except UserError:

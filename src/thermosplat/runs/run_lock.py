@@ -22,9 +22,6 @@ LOCK_FILE = "training.lock"
 def run_lock(folder: Path) -> Iterator[None]:
     """Keep other processes from training into a folder during the block; nested blocks of one process are one.
 
-    Args:
-        folder: The result folder, which is there.
-
     Raises:
         UserError: Another process trains there, or the file cannot be written.
     """

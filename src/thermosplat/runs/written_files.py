@@ -44,9 +44,6 @@ _WRITTEN = {
 def delete_run(run: Path) -> None:
     """Delete what the commands wrote into a result folder, and what killed ones left there. All else stays.
 
-    Args:
-        run: The result folder.
-
     Raises:
         NotWrittenError: A folder in it is a link; nothing has been deleted then.
     """
@@ -85,11 +82,7 @@ def is_our_page(path: Path) -> bool:
 
 
 def sweep_run(run: Path) -> None:
-    """Delete the temporary files that killed processes left in a result folder.
-
-    Args:
-        run: The result folder.
-    """
+    """Delete the temporary files that killed processes left in a result folder."""
     sweep(run)
     for name in _WRITTEN:
         if not (run / name).is_symlink():

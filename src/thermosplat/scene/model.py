@@ -24,22 +24,20 @@ from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.runs.checkpoint import Checkpoint, SavedModel, damage_explained
-from thermosplat.scene.feature_passes import blend_features
 from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.formations.saved_formations import as_trained, restored_formations
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.gaussians_in_view import GaussiansInView, gaussians_in_view
 from thermosplat.scene.harmonic_passes import blend_harmonics
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
 from thermosplat.scene.lens_distortion import nearest_distorted
-from thermosplat.scene.offloaded import stored_values
+from thermosplat.scene.offloaded import GaussiansInView, gaussians_in_view, stored_values
 from thermosplat.scene.packed_parameters import num_bytes, pack
 from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.scene.shared_cameras import views_by_camera
-from thermosplat.scene.views import Rendering, render_view_depth
+from thermosplat.scene.views import Rendering, blend_features, render_view_depth
 from thermosplat.spectra import model_spectra
 
 if TYPE_CHECKING:
@@ -200,11 +198,7 @@ class SceneModel(nn.Module):
         return rendered
 
     def seen(self, view: "ViewTensors") -> "ViewTensors":
-        """The view, with the projection that the scene was trained with.
-
-        Args:
-            view: Camera and pose.
-        """
+        """The view, with the projection that the scene was trained with."""
         return replace(view, unscented=True) if self.unscented else view
 
     def _to_render(self, name: str, views: Views, groups: Groups, sh_degree: int) -> Gaussians:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from thermosplat.scene.gaussians_in_view import GaussiansInView
 from thermosplat.scene.lens_distortion import distorted
 
 if TYPE_CHECKING:
     from thermosplat.scene.formations.formation import Formation
+    from thermosplat.scene.offloaded import GaussiansInView
 
 
 LEAST_COVER = 0.9
@@ -40,7 +40,7 @@ class RenderedFrame:
     infos: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     """What the rasterization says about every call (means2d, radii, ...), by the name of the Gaussian set. Under
     "spectra" an info names the spectra that the call was for. Densification reads it."""
-    in_view: dict[str, GaussiansInView] = field(default_factory=dict)
+    in_view: dict[str, "GaussiansInView"] = field(default_factory=dict)
     """By the name of the set, the Gaussians that were rendered of a set of which some is offloaded. What infos say is
     about these."""
     blank: list[Tensor] = field(default_factory=list)

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 def view_directions(view: "ViewTensors") -> Tensor:
     """Unit vectors from the camera through the pixel centres, in world coordinates, at the time of each line.
 
-    Args:
-        view: Camera and pose.
-
     Returns:
         Directions, shape [H, W, 3].
     """

@@ -120,9 +120,6 @@ class CaptureParameters:
 def capture_parameters(folder: Path) -> CaptureParameters | None:
     """What a capture's thermal_parameters.json and thermal_parameters.yaml say of its temperatures.
 
-    Args:
-        folder: The capture.
-
     Returns:
         None where it has neither file.
 

@@ -196,12 +196,7 @@ class Certainty:
         return Calibration(noise, drift, tuple(map(float, edges)), tuple(factors))
 
     def compared(self, frame: Frame, calibration: Calibration) -> tuple[Array, Array, NDArray[np.uint8]]:
-        """Errors [H, W], halves of the intervals and doubts of a view that has an image.
-
-        Args:
-            frame: The frame.
-            calibration: How wide intervals are.
-        """
+        """Errors [H, W], halves of the intervals and doubts of a view that has an image."""
         view, rendered, expected = self._compared(frame)
         s, doubts = self._evidence(view, rendered, calibration.noise, calibration.drift)
         return rendered - expected, calibration.half_width(s), doubts

@@ -17,10 +17,6 @@ _VIEWS, _PIXELS = 24, 10_000
 def display_range(capture: Capture, spectrum: str) -> tuple[float, float] | None:
     """Values at the ends of the palette in pictures of a spectrum.
 
-    Args:
-        capture: The capture.
-        spectrum: One of it.
-
     Returns:
         The whole range that intensities stand for, or where a few values alone make it wide, that of the others; None
         where nothing is measured. Pseudo-colours keep theirs: they are colours already.

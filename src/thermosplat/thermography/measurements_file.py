@@ -24,8 +24,8 @@ import numpy as np
 
 from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.errors import UserError
-from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_text
+from thermosplat.runs.documents import read_document
 from thermosplat.thermography.measurement_book import MOST_MEASUREMENTS, Pages
 from thermosplat.thermography.measurements import (
     WHENS,
@@ -40,7 +40,6 @@ from thermosplat.thermography.shapes import SHAPES, number_of_points
 FOLDER, MEASUREMENTS = "measurements", "measurements.json"
 """The file, and the folder of a run that it lies in."""
 FORMAT, VERSION = "thermosplat-measurements", 1
-_LARGEST_FILE = 64 << 20
 _FURTHEST = 1e9
 _HINT = "Save measurements in thermosplat-view, or look at docs/temperatures.md for the form of the file."
 
@@ -114,16 +113,13 @@ def _difference(pages: Pages, first: str, second: str) -> dict[str, Any]:
 def read_book(path: Path) -> tuple[Pages, list[Definition]]:
     """What a measurements.json holds.
 
-    Args:
-        path: The file.
-
     Returns:
         Its pages, of which measurements without numbers are missing; and all definitions, in their order.
 
     Raises:
         UserError: It cannot be read, or is something else.
     """
-    content = _content(path)
+    content = read_document(path, "measurements", VERSION, _HINT)
     entries = content.get("measurements")
     if not isinstance(entries, list) or len(entries) > MOST_MEASUREMENTS:
         raise UserError(f"{path} must have a list of at most {MOST_MEASUREMENTS} measurements.", _HINT)
@@ -152,21 +148,7 @@ def read_scale(path: Path) -> float | None:
     Raises:
         UserError: It is something else.
     """
-    return _scale(_content(path), path) if path.is_file() else None
-
-
-def _content(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise UserError(f"{path} is too large for measurements.", _HINT)
-        content = json.loads(read_regular(path))
-    except OSError as error:
-        raise UserError(f"Cannot read the measurements {path}: {error.strerror or error}.", _HINT) from error
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} has no measurements: it is no JSON.", _HINT) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise UserError(f'{path} has no measurements: expected "format": "{FORMAT}", "version": {VERSION}.', _HINT)
-    return content
+    return _scale(read_document(path, "measurements", VERSION, _HINT), path) if path.is_file() else None
 
 
 def _checked(path: Path, number: int, stated: Any, understood: Callable[[Any], Any]) -> Any:

@@ -77,9 +77,6 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
 def numbered_parts(tensor: Tensor) -> Sequence[Tensor]:
     """A tensor's numbers for kernels that number them one by one: the tensor, or flat parts where they are too many.
 
-    Args:
-        tensor: contiguous.
-
     Returns:
         Tensors on its memory, in order, of at most ``LONGEST`` numbers each.
     """

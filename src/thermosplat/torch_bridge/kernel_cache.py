@@ -17,11 +17,7 @@ def start_warp() -> None:
 
 
 def cache_error(error: KernelCacheError) -> UserError:
-    """The same in a user's words.
-
-    Args:
-        error: From the kernels.
-    """
+    """The same in a user's words."""
     return UserError(
         f"Warp cannot use its folder for compiled kernels: {error}.",
         "Name one that can be read and written: WARP_CACHE_PATH=FOLDER before the command.",

@@ -17,11 +17,7 @@ wp.config.log_level = wp.LOG_WARNING
 
 
 class TorchAllocator:
-    """Makes Warp take its CUDA memory from torch's caching allocator: one pool, also while a graph is captured.
-
-    Args:
-        device: A CUDA device.
-    """
+    """Makes Warp take its CUDA memory from torch's caching allocator: one pool, also while a graph is captured."""
 
     def __init__(self, device: torch.device) -> None:
         self.device = device

@@ -14,8 +14,7 @@ from typing import Literal
 import torch
 
 from thermosplat.config import TrainConfig
-from thermosplat.scene.decoder import Decode, Decoder
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decode, Decoder, Decoders
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.training.fused_decoders import FusedDecoders, teams
 

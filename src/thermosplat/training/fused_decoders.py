@@ -7,15 +7,11 @@ from torch import Tensor
 
 from thermosplat.fused.decoders import decode_branches
 from thermosplat.fused.decoders import teams as teams_of_shape
-from thermosplat.scene.decoders import Decoders
+from thermosplat.scene.decoder import Decoders
 
 
 def teams(decoders: Decoders) -> tuple[int, ...]:
-    """How many warps may share 16 pixels in the kernels' adjoint, the quickest first; none: there are no kernels.
-
-    Args:
-        decoders: Any of that class.
-    """
+    """How many warps may share 16 pixels in the kernels' adjoint, the quickest first; none: there are no kernels."""
     if len(decoders.modulations) != 1 or len(decoders.shared_encoder) != 4:  # two layers and their activations
         return ()
     first = next(decoders.shared_encoder.parameters())

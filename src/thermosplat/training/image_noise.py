@@ -57,12 +57,7 @@ def image_noise(image: Tensor, mask: Tensor | None = None) -> ImageNoise:
 
 
 def training_noise(frames: TrainFrames, spectrum: str) -> ImageNoise | None:
-    """The median over training images of a spectrum; None where there are none.
-
-    Args:
-        frames: The training frames.
-        spectrum: Which spectrum.
-    """
+    """The median over training images of a spectrum; None where there are none."""
     having = [index for index, frame in enumerate(frames.frames) if spectrum in frame.views]
     chosen = having[:: math.ceil(len(having) / _VIEWS)] if having else []
     views = (frames[index].views[spectrum] for index in chosen)

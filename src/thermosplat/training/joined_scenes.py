@@ -37,20 +37,12 @@ def seed_of_scene(seed: int, number: int) -> int:
 
 
 def steps_of_scene(config: TrainConfig) -> int:
-    """Steps of each scene before all become one.
-
-    Args:
-        config: The whole configuration, of several scenes.
-    """
+    """Steps of each scene before all become one."""
     return max(1, round(config.optimizer.cooldown_from * config.max_steps))
 
 
 def kept_scene(model: SceneModel) -> Scene:
-    """The Gaussians of a scene, in the host's memory.
-
-    Args:
-        model: The scene.
-    """
+    """The Gaussians of a scene, in the host's memory."""
     scene: Scene = on_host(model.checkpoint_state().gaussian_sets)
     return scene
 

@@ -26,9 +26,6 @@ def of_passes(config: TrainConfig) -> TrainConfig:
 
     Its Gaussians are opaque and large enough to cover images from the first steps on, as 3DGS has it. A method's own
     start may cover them late, and through holes nothing is compared.
-
-    Args:
-        config: The whole configuration.
     """
     model = replace(config.model, init_opacity=ModelConfig().init_opacity)
     rates = {name: config.refine_rates * getattr(config.optimizer, name) for name in _FASTER}
@@ -101,8 +98,5 @@ class NewScenes:
         """Whether there is room for scenes as they were: what is offloaded has none on the device.
 
         Ranks would have to render the scene of then together, too: they hold spectra by floors.
-
-        Args:
-            model: What is trained.
         """
         return self._team.is_alone and self.offloading.kind == "nothing" and may_teach(model)

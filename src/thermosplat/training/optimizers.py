@@ -1,4 +1,4 @@
-"""Adam for every parameter, and its learning rate at every step.
+"""Adam for every parameter, its learning rate at every step, and what keeps it from values that are not finite.
 
 A learning rate is a function of the step, so there is no scheduler with a state of its own. Parameters named
 ``log_scales`` or ``logit_opacities`` take the rates ``scales_lr`` and ``opacities_lr`` of ``OptimizerConfig``, those of
@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import OptimizerConfig
 from thermosplat.fused.adam import WarpAdam, step_together
+from thermosplat.fused.finite_check import note_by_warp
 from thermosplat.fused.row_adam import RowAdam
 from thermosplat.refinement.camera_corrections import RATES
 from thermosplat.scene.gaussians import OFFSETS
@@ -139,7 +140,9 @@ def step_unless(blocked: Tensor, optimizers: Mapping[str, Optimizers]) -> None:
         optimizers: The optimizers, by owner and parameter name.
     """
     every = [optimizer for owned in optimizers.values() for optimizer in owned.values()]
-    step_together([optimizer for optimizer in every if isinstance(optimizer, WarpAdam)], blocked)
+    by_warp = [optimizer for optimizer in every if isinstance(optimizer, WarpAdam)]
+    if by_warp:
+        step_together(by_warp, blocked)
     for optimizer in every:
         if isinstance(optimizer, RowAdam):
             optimizer.step_rows(blocked)
@@ -153,3 +156,75 @@ def set_betas(optimizers: Optimizers, betas: tuple[float, float]) -> None:
     for optimizer in optimizers.values():
         for group in optimizer.param_groups:
             group["betas"] = betas
+
+
+class FiniteGuard:
+    """Remembers, on the device, the first step whose losses or gradients were NaN or infinite.
+
+    ``blocked`` is handed to the optimizers, which leave everything as it is from that step on, so the last good state
+    is still there when somebody looks, however much later.
+
+    Args:
+        device: Where losses and gradients are.
+    """
+
+    def __init__(self, device: torch.device | str) -> None:
+        self.blocked = torch.zeros((), device=device)
+        """float32 scalar: 0, and 1 from the first bad step on."""
+        self._first_bad_step: dict[tuple[str, ...], Tensor] = {}
+
+    @torch.no_grad()
+    def observe(self, step: Tensor, losses: dict[str, Tensor], gradients: dict[str, list[Tensor]]) -> None:
+        """Look at one step, before its update.
+
+        Args:
+            step: Its number, from 1; int64 scalar on the device.
+            losses: The loss terms, scalars, by name.
+            gradients: Gradients by the name of what they belong to.
+        """
+        named = {name: [loss.detach()] for name, loss in losses.items()}
+        named |= {f"gradient of {name}": tensors for name, tensors in gradients.items() if tensors}
+        names = tuple(named)
+        if not names:  # of a rank that has neither a frame nor Gaussians
+            return
+        if names not in self._first_bad_step:
+            self._first_bad_step[names] = torch.zeros(len(names), dtype=torch.int64, device=step.device)
+        note = note_by_warp if step.is_cuda else note_by_torch
+        note(list(named.values()), step, self._first_bad_step[names], self.blocked)
+
+    def first_bad(self) -> tuple[int, str] | None:
+        """Step and name of the first value that was not finite, or None. Waits for the device.
+
+        Ranks share ``blocked``: where another rank found something, this one may have nothing to name.
+        """
+        if not bool(self.blocked):
+            return None
+        found = [
+            (step, name)
+            for names, first in self._first_bad_step.items()
+            for step, name in zip(first.tolist(), names)
+            if step > 0
+        ]
+        # of one step, the first named: losses come before gradients
+        return min(found, key=lambda entry: entry[0], default=None)
+
+
+def note_by_torch(named: list[list[Tensor]], step: Tensor, first_bad_step: Tensor, blocked: Tensor) -> None:
+    """Note the step where something is not finite.
+
+    Args:
+        named: float32 tensors by name.
+        step: The step's number, int64 scalar.
+        first_bad_step: int64, one for each name, 0 as long as all was finite; changed in place.
+        blocked: float32 scalar; 1 afterwards where something was not finite.
+    """
+    # a sum is finite only where all its terms are; an overflow of finite ones would be as fatal to Adam's squares
+    bad = ~torch.isfinite(torch.stack([_sum(tensors) for tensors in named]))
+    first_bad_step.copy_(torch.where(bad & (first_bad_step == 0), step, first_bad_step))
+    blocked.copy_(torch.maximum(blocked, bad.any().to(blocked.dtype)))
+
+
+def _sum(tensors: list[Tensor]) -> Tensor:
+    if len(tensors) == 1:
+        return tensors[0].sum() if tensors[0].dim() > 0 else tensors[0]
+    return torch.cat([tensor.flatten() for tensor in tensors]).sum()

@@ -11,7 +11,7 @@ from typing import Any
 from torch import Tensor
 
 from thermosplat.fused.row_adam import RowAdam, Rows
-from thermosplat.scene.gaussians_in_view import GaussiansInView
+from thermosplat.scene.offloaded import GaussiansInView
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.density.gaussian_ops import Optimizers
 

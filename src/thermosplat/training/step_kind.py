@@ -1,11 +1,15 @@
-"""What the host decides about a step before the device does it, and what the step says of itself."""
+"""What the host decides about a step before the device does it, what stages have to say, and what the step says."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.training.exposures import FROM as EXPOSED_FROM
+
+if TYPE_CHECKING:
+    from thermosplat.training.session.training_parts import Training
 
 DEPTH_SPREAD_FROM = 0.5
 """Share of the steps before the spread of depths along rays counts. Open choice."""
@@ -80,3 +84,38 @@ class Plan:
 def sh_degree_at(config: TrainConfig, step: int) -> int:
     """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
     return min(int(max(step - 1, 0) // config.sh_degree_interval), config.sh_degree)
+
+
+class Stage:
+    """One thing that a training does from time to time: nothing, but for the methods that a stage has of its own."""
+
+    def __init__(self, training: "Training") -> None:
+        self.training = training
+
+    def begin_scene(self) -> None:
+        """Get ready for a scene that starts, or goes on."""
+
+    def before(self, step: int, kind: StepKind) -> StepKind:
+        """What is done in a step to come, of what the configuration and the stages before this one make of it."""
+        return kind
+
+    def rates(self, rates: OptimizerConfig) -> OptimizerConfig:
+        """The rates of a step to come, of those of the stages before this one."""
+        return rates
+
+    def acts_at(self, step: int) -> bool:
+        """Whether something is done after this step: then the device is waited for, and a bad state goes no further."""
+        return False
+
+    def after(self, step: int, kind: StepKind) -> None:
+        """Do what belongs to the step done, in which no interrupt is heard; where ``acts_at`` says so."""
+
+    def leave(self) -> None:
+        """Go on to what follows the step done, where it was a last one. An interrupt leaves the state as it was."""
+
+    def finish(self) -> None:
+        """Do what comes after the last step."""
+
+    def notes(self) -> tuple[str, ...]:
+        """What the user is told at the beginning."""
+        return ()

@@ -14,8 +14,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.refinement.camera_corrections import POSES
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.stop_signals import deferred_interrupts
-from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
-from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.frames.train_frames import SpectrumSchedule, TrainFrames
 from thermosplat.training.optimizers import set_betas
 from thermosplat.training.out_of_memory import is_out_of_memory
 from thermosplat.training.recorded_steps import RecordedSteps
@@ -62,9 +61,6 @@ class Steps:
 
         Line by line, an interrupt ends the step as if it had not begun until the gradients are there. The next step
         overwrites the values of a recorded one.
-
-        Args:
-            kind: What is done with its frames.
         """
         plan = self.plan()
         if self.recordings is not None:
@@ -102,12 +98,7 @@ class Steps:
         return Plan(tuple(penalised), tuple(rounds))
 
     def own_frames(self, plan: Plan, kind: StepKind) -> Iterator[FrameTensors]:
-        """The frames that this rank renders in the step that comes next, one for each round.
-
-        Args:
-            plan: The step's.
-            kind: What is done with them.
-        """
+        """The frames that this rank renders in the step that comes next, one for each round."""
         for number, groups in enumerate(plan.rounds):
             has_one = self.step.team.rank < len(groups)
             step, factor = self.step.state.step, kind.image_factor

@@ -25,7 +25,7 @@ from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
 from thermosplat.training.frames.random_streams import start_stream
-from thermosplat.training.frames.spectrum_schedule import set_span
+from thermosplat.training.frames.train_frames import set_span
 from thermosplat.training.joined_scenes import Scene, seed_of_scene
 from thermosplat.training.optimizers import (
     gaussian_optimizers,
@@ -147,11 +147,7 @@ class TrainingState:
 
     @contextmanager
     def showing(self, whole: SceneModel) -> Iterator[None]:
-        """Around what judges or writes the model: let it be the whole one, of which this is a share.
-
-        Args:
-            whole: The model of all ranks.
-        """
+        """Around what judges or writes the model: let it be the whole one, of which this is a share."""
         share, sets, counts = self.model, self.gaussian_sets, self.counts
         self.model, self.counts = whole, None
         self.gaussian_sets = {name: whole.gaussians(name) for name in whole.gaussian_sets}
@@ -335,9 +331,6 @@ class TrainingState:
 
     def load(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint; the model must already be its.
-
-        Args:
-            checkpoint: The checkpoint.
 
         Raises:
             UserError: It is incomplete, or does not fit the model.

@@ -18,18 +18,15 @@ from thermosplat.config import LossConfig, TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors, with_unit_images
 from thermosplat.distributed.team import Team
 from thermosplat.errors import UserError
-from thermosplat.losses.feature_norm import feature_norm_loss
-from thermosplat.losses.gaussian_penalties import gaussian_penalties
-from thermosplat.losses.image_terms import ComparedFrame, compare_frame, squared_error
-from thermosplat.losses.spectrum_balance import balanced_losses
+from thermosplat.losses.gaussian_penalties import feature_norm_loss, gaussian_penalties
+from thermosplat.losses.image_terms import ComparedFrame, balanced_losses, compare_frame, squared_error
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
-from thermosplat.training.finite_guard import FiniteGuard
-from thermosplat.training.optimizers import step_unless
+from thermosplat.training.optimizers import FiniteGuard, step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
 from thermosplat.training.sharing.calls import Calls, calls_of, infos_of_frame, render_with_others
 from thermosplat.training.sharing.replicated import add_up_replicated, tell_errors

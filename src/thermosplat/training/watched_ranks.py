@@ -30,11 +30,7 @@ class Word(Enum):
 
 
 class Follower:
-    """A rank that is not the first: it does what rank 0 says.
-
-    Args:
-        trainer: Its training.
-    """
+    """A rank that is not the first: it does what rank 0 says."""
 
     def __init__(self, trainer: Trainer) -> None:
         self._trainer = trainer

@@ -27,9 +27,6 @@ def is_this_machine(host: str) -> bool:
 def host_of(header: str) -> str | None:
     """The name or address that a Host header asks for.
 
-    Args:
-        header: Its value.
-
     Returns:
         It without port and brackets; None of a header that is no host as RFC 9110 has it.
     """

@@ -27,11 +27,7 @@ _MOST_BOOKMARKS = 1000
 
 
 class CamerasPanel:
-    """The tab "Cameras".
-
-    Args:
-        visitor: Whose it is.
-    """
+    """The tab "Cameras"."""
 
     def __init__(self, visitor: "Visitor") -> None:
         import viser

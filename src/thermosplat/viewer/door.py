@@ -150,12 +150,7 @@ class Door:
     # ---- websockets --------------------------------------------------------------------------------------------------
 
     async def let_in(self, connection: Any, handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Let viser have a websocket, whose messages are looked at.
-
-        Args:
-            connection: The websockets connection.
-            handler: viser's.
-        """
+        """Let viser have a websocket, whose messages are looked at."""
         import viser
 
         asyncio.get_running_loop().set_exception_handler(_say_in_one_line)

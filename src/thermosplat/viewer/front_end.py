@@ -84,11 +84,7 @@ class Shared:
             self.bookmarks_file.unlink(missing_ok=True)
 
     def new_file(self, kind: str) -> Path:
-        """A path without an ending that no file has, in the folder for what visitors save.
-
-        Args:
-            kind: What the name begins with.
-        """
+        """A path without an ending that no file has, in the folder for what visitors save."""
         with self._naming:  # two in one second have two names
             self._named += 1
             return self.folder / f"{kind}_{time.strftime('%Y%m%d_%H%M%S')}_{self._named:03d}"

@@ -111,11 +111,7 @@ def available_layers(scene: ViewedScene) -> list[Layer]:
 
 
 class LayerRenderer:
-    """Renders layers of a scene.
-
-    Args:
-        scene: The scene.
-    """
+    """Renders layers of a scene."""
 
     def __init__(self, scene: ViewedScene) -> None:
         self.scene = scene
@@ -243,12 +239,7 @@ class LayerRenderer:
 
 
 class _Temperatures:
-    """Recalculated values of one view, whose depths and labels are looked up once.
-
-    Args:
-        scene: How temperatures are recalculated.
-        view: The view.
-    """
+    """Recalculated values of one view, whose depths and labels are looked up once."""
 
     def __init__(self, scene: SceneTemperatures, view: ViewTensors) -> None:
         self.scene, self._view = scene, view

@@ -45,11 +45,7 @@ _ALARM, _HOTTEST, _COLDEST = (255, 40, 40), (255, 80, 60), (90, 170, 255)
 
 
 class MeasurePanel:
-    """The tab "Measure".
-
-    Args:
-        visitor: Whose it is.
-    """
+    """The tab "Measure"."""
 
     def __init__(self, visitor: "Visitor") -> None:
         import viser

@@ -85,12 +85,7 @@ class Measurer:
         return measure(definition, self.seen(definition))
 
     def again(self, pages: Pages, definitions: Sequence[Definition]) -> Pages:
-        """Pages with the numbers that the scene has now; what has none any more is left out.
-
-        Args:
-            pages: With differences, scale and settings.
-            definitions: What is measured.
-        """
+        """Pages with the numbers that the scene has now; what has none any more is left out."""
         measured = [(one, self.measure(one)) for one in definitions]
         made = tuple(Measurement(one, numbers) for one, numbers in measured if numbers is not None)
         return replace(pages, measurements=made)
@@ -103,11 +98,6 @@ class Measurer:
     @torch.no_grad()
     def regions(self, spectrum: str, threshold: float, *, colder: bool = False) -> list[tuple[Region, str]]:
         """Parts of the whole scene above a threshold, with the name of the frame that sees each best.
-
-        Args:
-            spectrum: Which measures something.
-            threshold: In its unit.
-            colder: Parts below it.
 
         Raises:
             UserError: There are no photographs to search by.

@@ -50,12 +50,7 @@ class Notices(logging.Handler):
         print(f"Viewer: {shown}" + (f" (and {more:,} like it before)" if more else ""), file=sys.stderr, flush=True)
 
     def say_error(self, what: str, error: BaseException) -> None:
-        """Say that something failed, and why.
-
-        Args:
-            what: What failed.
-            error: Why.
-        """
+        """Say that something failed, and why."""
         self.say(f"{what}: {type(error).__name__}: {error}")
 
     def emit(self, record: logging.LogRecord) -> None:

@@ -37,11 +37,7 @@ class SeenPhotograph:
 
 
 class Photographs:
-    """The photographs of a scene's capture, seen from elsewhere.
-
-    Args:
-        scene: The scene.
-    """
+    """The photographs of a scene's capture, seen from elsewhere."""
 
     def __init__(self, scene: ViewedScene) -> None:
         self.scene = scene

@@ -15,11 +15,7 @@ _MOST = 100
 
 
 class RegionPanel:
-    """The folder "Regions" of the tab "Measure"; there where views of the capture measure something.
-
-    Args:
-        visitor: Whose it is.
-    """
+    """The folder "Regions" of the tab "Measure"; there where views of the capture measure something."""
 
     def __init__(self, visitor: "Visitor") -> None:
         self.visitor = visitor

@@ -12,11 +12,7 @@ _NONE, _OFF = "none yet", "off"
 
 
 class SelectionPanel:
-    """The folder "One of them" of the tab "Measure".
-
-    Args:
-        visitor: Whose it is.
-    """
+    """The folder "One of them" of the tab "Measure"."""
 
     def __init__(self, visitor: "Visitor") -> None:
         self.visitor = visitor

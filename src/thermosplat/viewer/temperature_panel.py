@@ -14,11 +14,7 @@ _AIR = ("air", "humidity")
 
 
 class TemperaturePanel:
-    """The folder "Temperatures" of the tab "View"; there where something can be recalculated.
-
-    Args:
-        visitor: Whose it is.
-    """
+    """The folder "Temperatures" of the tab "View"; there where something can be recalculated."""
 
     def __init__(self, visitor: "Visitor") -> None:
         self.visitor = visitor

@@ -16,12 +16,7 @@ _MOST_POINTS = 400
 
 
 class TrainingPanel:
-    """The tab "Training".
-
-    Args:
-        visitor: Whose it is.
-        watch: The training.
-    """
+    """The tab "Training"."""
 
     def __init__(self, visitor: "Visitor", watch: TrainingWatch) -> None:
         import viser

@@ -98,9 +98,6 @@ class TrainingWatch:
     def between_steps(self, trainer: Watched) -> None:
         """Called after each step, when the model is whole.
 
-        Args:
-            trainer: The training.
-
         Raises:
             KeyboardInterrupt: A viewer has stopped it.
         """
@@ -124,11 +121,7 @@ class TrainingWatch:
         self._single_steps = max(0, self._single_steps - 1)
 
     def between_copies(self, trainer: Watched) -> None:
-        """Called after a step that the scene, a copy of the model, does not know of yet; nothing is obeyed.
-
-        Args:
-            trainer: The training.
-        """
+        """Called after a step that the scene, a copy of the model, does not know of yet; nothing is obeyed."""
         self.step = trainer.step
         now = time.perf_counter()
         if now - self._told_progress >= CHANGE_SECONDS:
@@ -150,11 +143,7 @@ class TrainingWatch:
 
 
 class Curves:
-    """The lines of metrics.jsonl, read as it grows.
-
-    Args:
-        path: The file.
-    """
+    """The lines of metrics.jsonl, read as it grows."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -17,11 +17,7 @@ _SIZES = {"full": 1.0, "half": 0.5, "a third": 1 / 3}
 
 
 class ViewPanel:
-    """The tab "View".
-
-    Args:
-        visitor: Whose it is.
-    """
+    """The tab "View"."""
 
     def __init__(self, visitor: "Visitor") -> None:
         self.visitor = visitor

@@ -126,12 +126,7 @@ class ViewedScene:
 
 
 def frame_bookmark(frame: Frame, spectrum: str) -> Bookmark:
-    """The view of a frame in a spectrum, as a camera that looks through the centre of its picture.
-
-    Args:
-        frame: The frame.
-        spectrum: One that it has.
-    """
+    """The view of a frame in a spectrum, as a camera that looks through the centre of its picture."""
     view = frame.views[spectrum]
     fov = float(np.degrees(2 * np.arctan(view.camera.height / (2 * view.camera.fy))))
     return Bookmark(frame.name, view.viewmat, fov)

@@ -143,11 +143,7 @@ class Visitor:
         return hear
 
     def pointed(self, work: Callable[[Any, Shown | None], None]) -> Callable[[Any], Awaitable[None]]:
-        """What viser calls when somebody points at the picture: as ``heard``, with the picture that was pointed at.
-
-        Args:
-            work: Gets viser's event and the picture.
-        """
+        """What viser calls when somebody points at the picture: as ``heard``, with the picture that was pointed at."""
 
         async def hear(event: Any) -> None:
             self._errands.add(partial(work, event, self.session.shown))

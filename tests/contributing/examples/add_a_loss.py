@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from thermosplat.losses.image_terms import compare_frame
-from thermosplat.losses.spectrum_losses import edges
+from thermosplat.losses.image_terms import compare_frame, edges
 from toy_run import many_frames, toy_run_config, toy_trainer
 from toy_scene import render, toy_capture, toy_frame
 

@@ -3,7 +3,7 @@
 import torch
 
 from thermosplat.training.frames.random_streams import random_stream
-from thermosplat.training.frames.spectrum_schedule import FrameOrder
+from thermosplat.training.frames.train_frames import FrameOrder
 
 
 def test_streams_are_named() -> None:

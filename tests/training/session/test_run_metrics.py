@@ -32,7 +32,7 @@ def test_what_a_run_says_of_itself(tmp_path: Path) -> None:
     assert found["gaussians"] == {"shared": 60}
     assert found["model_bytes"] == state.model.num_bytes > 0
     assert found["opacity_offsets_kept"] == {"thermal": 0.0}
-    assert found["point_spreads"] == {}
+    assert not any(found["formations"].values())
     assert found["feature_channels"] == 8
     assert found["lens"] == "direct"
     assert found["scenes"] == 2
@@ -56,4 +56,5 @@ def test_offsets_of_every_spectrum(tmp_path: Path) -> None:
         state.gaussian_sets["shared"].nir_opacity_offsets[:15] = 0.5
     found = run_metrics({}, state, torch.device("cpu"), None, toy_run_config())
     assert found["opacity_offsets_kept"] == {"thermal": 0.0, "nir": 0.25}
-    assert found["point_spreads"] == pytest.approx({"thermal": 0.02})
+    assert found["formations"].pop("thermal") == pytest.approx({"point_spread": 0.02})
+    assert not any(found["formations"].values())

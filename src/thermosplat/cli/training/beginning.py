@@ -39,4 +39,6 @@ def capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer
             from thermosplat.training.trainer import Trainer
 
         capture = reading.result()
-        return replace(capture, notes=(*capture.notes, *quick_notes(capture, config.spectra))), Trainer
+        if config.resume is None:  # a run that goes on was told when it began
+            capture = replace(capture, notes=(*capture.notes, *quick_notes(capture, config.spectra)))
+        return capture, Trainer

@@ -79,10 +79,6 @@ def check_devices(devices: int, device: str) -> None:
 def train_on_devices(devices: int, argv: list[str]) -> int:
     """Start the processes of a training, and wait for their end.
 
-    Args:
-        devices: How many.
-        argv: Arguments of thermosplat-train.
-
     Returns:
         The exit code: 0 where all ended well; else that of the first one that did not.
     """

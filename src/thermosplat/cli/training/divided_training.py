@@ -43,11 +43,7 @@ FIRST_WORD = 1.0
 
 
 class RankOfTraining:
-    """One rank's part of a training.
-
-    Args:
-        argv: Arguments of thermosplat-train.
-    """
+    """One rank's part of a training."""
 
     def __init__(self, argv: list[str]) -> None:
         self.argv = argv

@@ -21,8 +21,9 @@ def say_what_and_where(trainer: "Trainer", metrics: dict[str, Any]) -> None:
     for name, kept in metrics["opacity_offsets_kept"].items() if trainer.budget is not None else ():
         size.append(f"{kept:.0%} of the {label(name)} offsets")
     print(f"Model: {', '.join(size)}; {metrics['model_bytes'] / 1e6:.1f} MB.")
-    for name, width in metrics["point_spreads"].items():
-        print(f"Blur of {label(name)} images: {width:.2%} of their width (standard deviation).")
+    for name, found in metrics["formations"].items():
+        if "point_spread" in found:
+            print(f"Blur of {label(name)} images: {found['point_spread']:.2%} of their width (standard deviation).")
     for sentence in (
         *unrefined_sentences(metrics),
         *correction_sentences(metrics.get("refined", {})),

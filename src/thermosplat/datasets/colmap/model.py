@@ -184,13 +184,7 @@ def _check_named_once(images: Sequence[RegisteredImage], folder: Path) -> None:
 
 
 def _name(image: pycolmap.Image, written: str | None, folder: Path) -> PurePosixPath:
-    """The name of a registered image, also of one that was registered on Windows.
-
-    Args:
-        image: The image.
-        written: What a text file calls it.
-        folder: The model's folder.
-    """
+    """The name of a registered image, also of one that was registered on Windows."""
     try:
         name = image.name if written is None else written
         name.encode()

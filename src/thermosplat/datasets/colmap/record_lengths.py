@@ -39,11 +39,7 @@ class Damage(ValueError):
 
 
 def wrong_lengths(folder: Path) -> str | None:
-    """The first binary file of a model whose records do not fill it to the byte, and how; None if all do.
-
-    Args:
-        folder: The model's folder.
-    """
+    """The first binary file of a model whose records do not fill it to the byte, and how; None if all do."""
     for name, walk in _WALKS.items():
         path = folder / name
         if not path.is_file():

@@ -32,22 +32,12 @@ _MODEL = "the COLMAP model"
 
 
 def registered_spectra(model: ColmapModel, spectra: Mapping[str, SpectrumConfig]) -> set[str]:
-    """The spectra whose images are in a model, by their folders; several make it a rig.
-
-    Args:
-        model: The model.
-        spectra: The spectra to look for.
-    """
+    """The spectra whose images are in a model, by their folders; several make it a rig."""
     return set(_spectra_of(model.images, spectra))
 
 
 def list_colmap_rig(root: Path, model: ColmapModel, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     """Files, cameras and points of a capture in this layout.
-
-    Args:
-        root: The capture's folder.
-        model: Its COLMAP model.
-        spectra: The spectra to look for.
 
     Raises:
         UserError: Several images have one stem, and nothing tells which of them belong together.

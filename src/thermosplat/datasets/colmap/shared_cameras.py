@@ -74,13 +74,7 @@ def frames_with_borrowed_cameras(
 def files_of_spectra(
     root: Path, folder: Path, spectra: Mapping[str, SpectrumConfig]
 ) -> tuple[dict[str, NamedImages[Path]], dict[str, NamedImages[Path]]]:
-    """Displayable images, and values of more bits beside them, by spectrum; the values where there is nothing else.
-
-    Args:
-        root: The capture's folder.
-        folder: Images of the first spectrum.
-        spectra: The spectra to look for.
-    """
+    """Displayable images, and values of more bits beside them, by spectrum; the values where there is nothing else."""
     files, values, folders = {}, {}, folders_of(spectra)
     for place, (name, spectrum) in enumerate(spectra.items()):
         files[name] = files_in(folder if place == 0 else spectrum_folder(root, name, spectrum), folders=folders)

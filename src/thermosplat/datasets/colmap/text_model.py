@@ -25,10 +25,6 @@ _LONGEST_IMAGE_LINE = 8192
 def write_plain(folder: Path, into: Path) -> dict[int, str]:
     """Write the files of a text model as pycolmap reads them.
 
-    Args:
-        folder: The model's folder.
-        into: An empty folder.
-
     Returns:
         The images' names by their numbers; bytes that are not UTF-8 are surrogates.
 

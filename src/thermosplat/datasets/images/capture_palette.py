@@ -34,12 +34,6 @@ class ChosenPalette:
 def choose_palette(root: Path, spectrum: str, config: SpectrumConfig, files: Sequence[Path]) -> ChosenPalette:
     """The user's palette, else the capture's, else the one FLIR stored in the files, else FLIR Iron.
 
-    Args:
-        root: The capture's folder.
-        spectrum: The spectrum's name.
-        config: The user's choices.
-        files: The spectrum's images.
-
     Raises:
         UserError: A palette file cannot be used.
     """

@@ -73,9 +73,6 @@ class FileStamp:
 def read_header(path: Path) -> tuple[ImageHeader | None, FileStamp]:
     """What a file says of its image, of which little more than the header is read.
 
-    Args:
-        path: The file.
-
     Returns:
         The header, None where the content is no JPEG, PNG, TIFF, BMP or WebP; and the file's stamp.
 
@@ -93,9 +90,6 @@ def read_header(path: Path) -> tuple[ImageHeader | None, FileStamp]:
 def read_regular_file(path: Path) -> bytes:
     """The content of a file.
 
-    Args:
-        path: The file.
-
     Raises:
         UserError: It cannot be read, is larger than ``LARGEST``, or is no regular file (a pipe would never end).
     """
@@ -107,11 +101,7 @@ def read_regular_file(path: Path) -> bytes:
 
 
 def image_header(content: Content) -> ImageHeader | None:
-    """What the content of a file says of its image; None where it is no JPEG, PNG, TIFF, BMP or WebP.
-
-    Args:
-        content: The whole file.
-    """
+    """What the content of a file says of its image; None where it is no JPEG, PNG, TIFF, BMP or WebP."""
     try:
         for mark, read in _READERS.items():
             if content[: len(mark)] == mark:
@@ -122,11 +112,7 @@ def image_header(content: Content) -> ImageHeader | None:
 
 
 def is_cut_or_changed(content: bytes) -> bool:
-    """Whether a JPEG lacks its end mark, or a PNG its end or the right checksum of a part.
-
-    Args:
-        content: The whole file.
-    """
+    """Whether a JPEG lacks its end mark, or a PNG its end or the right checksum of a part."""
     if content.startswith(b"\xff\xd8"):
         return b"\xff\xd9" not in content
     if content.startswith(b"\x89PNG"):
@@ -135,11 +121,7 @@ def is_cut_or_changed(content: bytes) -> bool:
 
 
 def is_grey16_with_alpha(content: bytes) -> bool:
-    """Whether this is a PNG whose 16-bit grey has an alpha channel.
-
-    Args:
-        content: The whole file.
-    """
+    """Whether this is a PNG whose 16-bit grey has an alpha channel."""
     return content.startswith(b"\x89PNG") and content[24:26] == b"\x10\x04"
 
 

@@ -58,9 +58,6 @@ class ImagePixels:
 def read_image(path: Path) -> NDArray[Any]:
     """Pixels as the file stores them; orientation is ignored, as COLMAP ignores it.
 
-    Args:
-        path: The file.
-
     Returns:
         [H, W] for one channel, [H, W, 3] RGB for colour (alpha is dropped); uint8, uint16, float32 or another type of
         numbers that TIFFs have. Values that the file calls none are NaN.
@@ -74,9 +71,6 @@ def read_image(path: Path) -> NDArray[Any]:
 
 def read_pixels(path: Path) -> ImagePixels:
     """An image, and which of its pixels hold something.
-
-    Args:
-        path: The file.
 
     Raises:
         UserError: The file is missing, damaged, no image, larger than ``LARGEST``, or of a kind that is not read. JPEG

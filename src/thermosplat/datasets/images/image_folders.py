@@ -12,11 +12,6 @@ from thermosplat.spectra import SpectrumConfig, folder_names, label
 def image_folder(root: Path, name: str, others: Collection[str] = ()) -> Path:
     """A folder by its name in any case, or by another name that means the same.
 
-    Args:
-        root: The capture's folder.
-        name: The usual name, in lower case.
-        others: Other names.
-
     Returns:
         Of several folders one that has images, preferably the usual one; the usual one also where there is none.
     """
@@ -30,13 +25,7 @@ def image_folder(root: Path, name: str, others: Collection[str] = ()) -> Path:
 
 
 def spectrum_folder(root: Path, name: str, spectrum: SpectrumConfig) -> Path:
-    """The capture's folder with the images of a spectrum.
-
-    Args:
-        root: The capture's folder.
-        name: The spectrum's name.
-        spectrum: Its settings.
-    """
+    """The capture's folder with the images of a spectrum."""
     usual, *others = folder_names(name, spectrum)
     return image_folder(root, usual, others)
 
@@ -101,10 +90,5 @@ def _folders(root: Path) -> str:
 
 
 def shown_path(path: Path, root: Path) -> str:
-    """A file's path as messages show it: below the capture's folder where it lies there.
-
-    Args:
-        path: The file.
-        root: The capture's folder.
-    """
+    """A file's path as messages show it: below the capture's folder where it lies there."""
     return str(path.relative_to(root) if path.is_relative_to(root) else path)

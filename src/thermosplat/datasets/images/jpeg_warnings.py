@@ -57,9 +57,6 @@ def check_jpegs(paths: Sequence[Path]) -> None:
 def damaged_jpegs(paths: Sequence[Path]) -> dict[Path, str]:
     """What libjpeg says of each of these JPEG files that it warns of.
 
-    Args:
-        paths: JPEG files, whatever their ending.
-
     Raises:
         UserError: A file ended the process that decodes.
     """
@@ -81,9 +78,6 @@ def refusing_damage(path: Path) -> Iterator[None]:
     """Around the decoding of a file in a process that decodes alone: refuse a JPEG file that libjpeg warns of.
 
     Elsewhere nothing happens; there ``check_jpegs`` looks first.
-
-    Args:
-        path: The file.
 
     Raises:
         UserError: As ``check_jpegs``.

@@ -140,10 +140,6 @@ def check_finite(file: SpectrumFile) -> None:
 def check_temperatures(file: SpectrumFile, unit: str) -> None:
     """Refuse radiometric values that no temperature can have; lone dead pixels pass.
 
-    Args:
-        file: The exposure.
-        unit: Unit of its values.
-
     Raises:
         UserError: Pixels beside each other lie at absolute zero or below.
     """

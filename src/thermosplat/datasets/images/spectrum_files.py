@@ -148,10 +148,6 @@ def _in_words(image: NDArray[Any]) -> str:
 def as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
     """8-bit RGB [H, W, 3] of a photograph: 16 bits are reduced, grey is repeated.
 
-    Args:
-        path: Its file, for messages.
-        image: What was read of it.
-
     Raises:
         UserError: It has other values.
     """

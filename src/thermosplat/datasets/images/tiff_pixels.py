@@ -49,11 +49,6 @@ logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a
 def decode_tiff(path: Path, content: bytes, tags: TiffTags) -> NDArray[Any] | None:
     """The samples of a TIFF.
 
-    Args:
-        path: The file, for messages.
-        content: What it holds.
-        tags: What its tags say.
-
     Returns:
         [H, W] or [H, W, S] in the order of the file, of the type that it states; bits and palettes as 8 bits. None: it
         is damaged.

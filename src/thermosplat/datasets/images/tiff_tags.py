@@ -86,9 +86,6 @@ class TiffTags:
 def read_tiff_tags(content: Content) -> TiffTags | None:
     """The tags of a TIFF; None where it states no size.
 
-    Args:
-        content: The whole file.
-
     Raises:
         struct.error: The file ends before.
     """
@@ -119,12 +116,7 @@ def read_tiff_tags(content: Content) -> TiffTags | None:
 
 
 def upright(content: bytes, tags: TiffTags) -> bytes:
-    """The file with its orientation tag set to 1, so that no decoder turns what is stored.
-
-    Args:
-        content: The whole file.
-        tags: Its tags.
-    """
+    """The file with its orientation tag set to 1, so that no decoder turns what is stored."""
     if tags.turned_at is None:
         return content
     place, layout = tags.turned_at

@@ -33,12 +33,7 @@ def unread_note(folder: Path) -> str | None:
 
 
 def unread_content(path: Path, content: bytes) -> UserError | None:
-    """The error for a file that is a picture in a format that is not read, whatever its name; None for another file.
-
-    Args:
-        path: The file.
-        content: What it holds.
-    """
+    """The error for a file that is a picture in a format that is not read, whatever its name; None for another file."""
     suffix = _BRANDS.get(content[8:12]) if content[4:8] == b"ftyp" else None
     suffix = suffix or next((suffix for begin, suffix in _BY_BEGIN.items() if content.startswith(begin)), None)
     if suffix is None:

@@ -25,11 +25,6 @@ def stated_splits(
 ) -> tuple[Splits | None, list[str]]:
     """The split of each frame that a list names, and notes.
 
-    Args:
-        content: The transforms file.
-        path: Its path.
-        names: Paths of its frames' images.
-
     Returns:
         Splits by name, None where there are no lists: with lists, frames in none of them are not to be used.
 
@@ -79,11 +74,6 @@ def stated_splits(
 
 def check_stated(frames: Sequence[FrameFiles], splits: Splits, path: Path) -> None:
     """Refuse lists that leave nothing to train on, or nothing to evaluate.
-
-    Args:
-        frames: The frames that have files.
-        splits: The splits that the lists state.
-        path: The transforms file, for messages.
 
     Raises:
         UserError: There are no training or no held-out frames.

@@ -52,10 +52,6 @@ class MapFrame:
 def camera_centers(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:
     """Centres [V, 3] and viewing directions [V, 3] of a spectrum's training cameras, in the scene's frame.
 
-    Args:
-        capture: The capture.
-        spectrum: The spectrum.
-
     Raises:
         UserError: It has no training views.
     """
@@ -108,12 +104,7 @@ def _with_up(up: Vector) -> Vector:
 
 
 def map_extent(frame: MapFrame, capture: Capture) -> tuple[float, float, float, float]:
-    """West, south, east and north of what the capture saw: its sparse points without outliers, and a margin.
-
-    Args:
-        frame: The map's frame.
-        capture: The capture.
-    """
+    """West, south, east and north of what the capture saw: its sparse points without outliers, and a margin."""
     return tuple(np.concatenate(_bounds(frame.to_map(capture.points)[:, :2])).tolist())
 
 

@@ -25,12 +25,7 @@ _Size = tuple[int, int]
 
 
 class FitSteps:
-    """Runs the steps of one fit.
-
-    Args:
-        learning: The splats.
-        exact: What they shall show.
-    """
+    """Runs the steps of one fit."""
 
     def __init__(self, learning: LearningSplats, exact: ExactImages) -> None:
         self.learning, self.exact = learning, exact

@@ -91,11 +91,7 @@ def margin(scores: Mapping[str, float | None], duel: Duel, metric: str) -> Margi
 
 
 def duels_of(methods: Sequence[str]) -> list[Duel]:
-    """Who is compared with whom.
-
-    Args:
-        methods: All that there are.
-    """
+    """Who is compared with whom."""
     baselines = [method for method in methods if method_group(method) == "baselines"]
     ablations = [method for method in methods if method_group(method) == "ablations"]
     duels = []

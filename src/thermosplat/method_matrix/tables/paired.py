@@ -31,15 +31,7 @@ def paired_table(results: Results) -> Table:
 
 
 def differences(results: Results, scene: str, method: str, rival: str, spectrum: str) -> list[float]:
-    """Differences in PSNR [dB] on each held-out view, of all seeds that both have.
-
-    Args:
-        results: Finished cells.
-        scene: A scene.
-        method: A method.
-        rival: The other.
-        spectrum: Which images.
-    """
+    """Differences in PSNR [dB] on each held-out view, of all seeds that both have."""
     own, other = (_psnr_by_view(results, scene, name, spectrum) for name in (method, rival))
     return [own[view] - other[view] for view in own if view in other]
 

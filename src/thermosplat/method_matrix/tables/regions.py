@@ -9,9 +9,6 @@ from thermosplat.method_matrix.tables.table import Table
 def region_table(results: Results) -> Table | None:
     """A row for each region, scene and method; the mean over the scenes where a method has all that have the region.
 
-    Args:
-        results: The finished cells.
-
     Returns:
         None where no cell has regions.
     """

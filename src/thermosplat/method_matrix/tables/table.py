@@ -49,12 +49,7 @@ class Table:
 
 
 def write_tables(out: Path, tables: list[Table]) -> None:
-    """Write tables.md with all tables, and a .csv and a .tex file for each; all atomically.
-
-    Args:
-        out: Folder for the files.
-        tables: The tables.
-    """
+    """Write tables.md with all tables, and a .csv and a .tex file for each; all atomically."""
     text = "\n".join(f"{table.title}\n\n{table.markdown()}" for table in tables)
     write_text(out / "tables.md", text)
     for table in tables:
@@ -62,12 +57,7 @@ def write_tables(out: Path, tables: list[Table]) -> None:
 
 
 def write_own_table(out: Path, table: Table) -> None:
-    """Write a table that is too long for tables.md: its own .md, .csv and .tex file; all atomically.
-
-    Args:
-        out: Folder for the files.
-        table: The table.
-    """
+    """Write a table that is too long for tables.md: its own .md, .csv and .tex file; all atomically."""
     write_text(out / f"{table.name}.md", f"{table.title}\n\n{table.markdown()}")
     _write_table(out, table)
 

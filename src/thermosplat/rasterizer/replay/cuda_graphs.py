@@ -79,11 +79,7 @@ class Recorder(Protocol):
 
 
 class CudaGraphs:
-    """A ``Recorder`` of CUDA graphs, which share one pool of memory and nothing with others.
-
-    Args:
-        device: A CUDA device, the current one.
-    """
+    """A ``Recorder`` of CUDA graphs, which share one pool of memory and nothing with others."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device

@@ -84,9 +84,5 @@ RENDERS = 2
 
 
 def images_drawn(blended: BlendedArrays) -> tuple[ArrayView | None, ...]:
-    """The images that ``Places.images`` are of, in its order: renders and alphas, of which there may be one each.
-
-    Args:
-        blended: What a blending writes.
-    """
+    """The images that ``Places.images`` are of, in its order: renders and alphas, of which there may be one each."""
     return blended.render, blended.thermal_render, blended.alphas, blended.thermal_alphas

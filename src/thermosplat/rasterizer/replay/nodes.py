@@ -42,11 +42,7 @@ class Lease:
         return once and not self._shows_means2d, once
 
     def differentiated(self, node: str) -> None:
-        """One of the nodes has made its gradients.
-
-        Args:
-            node: Its name.
-        """
+        """One of the nodes has made its gradients."""
         if not torch._C._autograd._get_current_graph_task_keep_graph():
             self._done.add(node)
             if len(self._done) == self._nodes:

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from thermosplat.config import ModelConfig
 from thermosplat.fused.covered_images import warp_covered
+from thermosplat.scene.decoder import with_fourier_features
 from thermosplat.scene.formations.formation import Blended, Common, Formation
-from thermosplat.scene.fourier_features import with_fourier_features
 from thermosplat.scene.gaussians import SH_C0, Gaussians
 from thermosplat.scene.point_spread import PointSpread
 from thermosplat.scene.view_directions import view_directions

@@ -7,8 +7,7 @@ from typing import cast
 from torch import nn
 
 from thermosplat.config import DecoderConfig, ModelConfig
-from thermosplat.scene.decoder import Decode
-from thermosplat.scene.decoding_in_parts import decode_in_parts
+from thermosplat.scene.decoder import Decode, decode_in_parts
 from thermosplat.scene.formations.formation import Blended, Common, Formation
 from thermosplat.scene.formations.kinds import kind_of, make_decoder
 from thermosplat.scene.rendered_frame import RenderedFrame

@@ -23,10 +23,6 @@ from thermosplat.scene.views import camera_arguments
 def squared_contributions(model: SceneModel, frames: Iterable[FrameTensors]) -> dict[str, Tensor]:
     """Each Gaussian's share of all squared blending weights of a spectrum, estimated with the same signs at every call.
 
-    Args:
-        model: The scene.
-        frames: The training frames.
-
     Returns:
         By name of the set, shape [S, N], a row per spectrum of the model; it adds up to 1, or is 0 where the set does
         not render that spectrum.

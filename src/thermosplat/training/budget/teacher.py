@@ -97,9 +97,5 @@ class Teacher:
 
 
 def may_teach(model: SceneModel) -> bool:
-    """Whether a step has room for the renders of a teacher beside its own, in each spectrum.
-
-    Args:
-        model: What is trained.
-    """
+    """Whether a step has room for the renders of a teacher beside its own, in each spectrum."""
     return 2 * len(model.spectra) <= CALLS

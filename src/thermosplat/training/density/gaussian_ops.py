@@ -26,11 +26,7 @@ SPLIT_SCALE = 1.6
 
 @contextmanager
 def opacities_restored(gaussians: nn.Module) -> Iterator[None]:
-    """A block that may overwrite opacities; behind it all are as they were.
-
-    Args:
-        gaussians: The Gaussians.
-    """
+    """A block that may overwrite opacities; behind it all are as they were."""
     saved = _copies(value for name, value in gaussians.named_parameters() if "opacit" in name)
     try:
         yield
@@ -40,11 +36,7 @@ def opacities_restored(gaussians: nn.Module) -> Iterator[None]:
 
 @contextmanager
 def kept_on_failure(parameters: Iterable[Tensor]) -> Iterator[None]:
-    """A block that may change parameters in place; where it does not come to its end they are as they were.
-
-    Args:
-        parameters: What to keep.
-    """
+    """A block that may change parameters in place; where it does not come to its end they are as they were."""
     saved = _copies(parameters)
     try:
         yield
@@ -283,12 +275,7 @@ def _selected(values: Tensor, rows: Tensor) -> Tensor:
 
 
 def parameter_like(parameter: nn.Parameter, values: Tensor) -> nn.Parameter:
-    """Values as a parameter that is trained as another one is, and lies where that lies.
-
-    Args:
-        parameter: The other one.
-        values: On its device.
-    """
+    """Values as a parameter that is trained as another one is, and lies where that lies."""
     if isinstance(parameter, OffloadedParameter):
         trained = parameter.requires_grad
         return OffloadedParameter.of(values, parameter.device, on_host=parameter.on_host, requires_grad=trained)

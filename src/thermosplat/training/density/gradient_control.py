@@ -23,7 +23,7 @@ from thermosplat.fused.density_notes import note_gradients
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gaussian_ops import Optimizers, grow, prune, reset_opacities
 from thermosplat.training.density.strategy import Refinement
-from thermosplat.training.frames.spectrum_schedule import Span
+from thermosplat.training.frames.train_frames import Span
 
 GROW_SCALE3D = 0.01
 """Gaussians smaller than this share of the scene's extent are cloned, larger ones split. 3DGS (percent_dense)."""

@@ -9,7 +9,7 @@ from torch import Tensor
 from thermosplat.config import DensificationConfig
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gaussian_ops import Optimizers
-from thermosplat.training.frames.spectrum_schedule import Span
+from thermosplat.training.frames.train_frames import Span
 
 
 @dataclass(frozen=True)

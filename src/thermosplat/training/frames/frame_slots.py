@@ -134,11 +134,7 @@ class FrameSlots:
         return self._pinned_for is not None
 
     def pin(self, device: torch.device) -> None:
-        """Pin the memory for copies to a CUDA device. Where it cannot be pinned, copies wait for each other instead.
-
-        Args:
-            device: The device.
-        """
+        """Pin the memory for copies to a CUDA device. Where it cannot be pinned, copies wait for each other instead."""
         with torch.cuda.device(device):
             if int(torch.cuda.cudart().cudaHostRegister(self._bytes.ctypes.data, self._bytes.nbytes, 0)) == 0:
                 self._pinned_for = device

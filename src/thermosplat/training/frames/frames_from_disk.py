@@ -132,10 +132,6 @@ class FrameCopies:
     The host is never more than some frames ahead of the device: it waits for a copy when ``COPIED_AHEAD`` of them are
     on their way, and a copy waits for the step that used its slot before.
 
-    Args:
-        loader: What reads the frames.
-        device: The device.
-
     Attributes:
         ahead: Time that the host has spent waiting for the device [s].
     """

@@ -101,9 +101,6 @@ class ReadingProcesses:
     def answered(self, *, wait: bool) -> Iterator[tuple[int, ImageLostError | None]]:
         """Slots whose frames were read, or why not.
 
-        Args:
-            wait: Until there is one.
-
         Raises:
             ImageLostError: A process was ended from outside, when there is no answer to wait for.
             RuntimeError: One failed, by a mistake of the program.

@@ -19,12 +19,7 @@ def image_factor(config: TrainConfig, step: int) -> float:
 
 
 def most_gaussians(config: TrainConfig, factor: float) -> int | None:
-    """How many Gaussians a set may grow to with images of a size; None: without a limit.
-
-    Args:
-        config: The whole configuration.
-        factor: What their sides are divided by.
-    """
+    """How many Gaussians a set may grow to with images of a size; None: without a limit."""
     most = config.densification.max_gaussians
     return most if most is None or factor == 1.0 else max(1, int(most / factor**config.resolution.growth_power))
 

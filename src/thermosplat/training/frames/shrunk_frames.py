@@ -7,6 +7,7 @@ the device, from the images of full size.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -14,7 +15,9 @@ from torch import Tensor
 from thermosplat.datasets.capture import View
 from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, packed, readout_tensor, with_unit_images
 from thermosplat.datasets.lens import shrunk
-from thermosplat.training.frames.train_frames import TrainFrames, frame_bytes
+
+if TYPE_CHECKING:
+    from thermosplat.training.frames.train_frames import TrainFrames
 
 SHORTEST_SIDE = 32
 """No side of an image becomes shorter [px]: SSIM's window has 11. Open choice."""
@@ -23,13 +26,9 @@ _WHOLE = 1.0 - 1e-4
 
 
 class ShrunkFrames:
-    """The training frames at one size after the other.
+    """The training frames at one size after the other."""
 
-    Args:
-        frames: The frames at full size.
-    """
-
-    def __init__(self, frames: TrainFrames) -> None:
+    def __init__(self, frames: "TrainFrames") -> None:
         self._frames = frames
         self.factor = 1.0
         self._kept: dict[int, FrameTensors] = {}
@@ -53,12 +52,12 @@ class ShrunkFrames:
             return self._kept[index]
         full = with_unit_images(self._frames.at(place, order, end))
         frame = shrunk_frame(full, self._frames.frames[index].views, factor)
-        if self._frames.from_disk is None and self._frames.reserve(frame_bytes(frame)):
+        if self._frames.from_disk is None and self._frames.reserve(frame.num_bytes):
             self._kept[index] = frame
         return frame
 
     def _forget(self) -> None:
-        self._frames.reserve(-sum(map(frame_bytes, self._kept.values())))
+        self._frames.reserve(-sum(frame.num_bytes for frame in self._kept.values()))
         self._kept.clear()
 
 

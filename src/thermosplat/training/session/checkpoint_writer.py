@@ -23,9 +23,6 @@ class CheckpointWriter:
 
     That a checkpoint beside the training could not be written is said once, by the next call; anything else that went
     wrong with it is raised there.
-
-    Args:
-        say: Tells the user something.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -56,10 +53,6 @@ class CheckpointWriter:
     def write(self, path: Path, state: dict[str, Any]) -> Path:
         """Write a checkpoint at once, after the one that is under way and whatever became of that.
 
-        Args:
-            path: The file.
-            state: Its content, which nobody changes meanwhile.
-
         Raises:
             NotWrittenError: If this one could not be written.
         """
@@ -75,11 +68,6 @@ class CheckpointWriter:
 
         The oldest goes first. The newest stays, from which the run could go on. Where all others together do not make
         enough room, none goes.
-
-        Args:
-            run: The run.
-            path: The file.
-            state: Its content.
 
         Raises:
             NotWrittenError: If it could not be written.
@@ -113,11 +101,7 @@ class CheckpointWriter:
 
 @contextmanager
 def going_on_without(say: Callable[[str], None]) -> Iterator[None]:
-    """Around files that a training can do without: say that one could not be written, and go on.
-
-    Args:
-        say: Tells the user something.
-    """
+    """Around files that a training can do without: say that one could not be written, and go on."""
     try:
         yield
     except NotWrittenError as error:
@@ -127,9 +111,6 @@ def going_on_without(say: Callable[[str], None]) -> Iterator[None]:
 @contextmanager
 def naming_the_newest_checkpoint(run: RunDirectory) -> Iterator[None]:
     """Around the last files of a training: where one cannot be written, say what there is to go on from.
-
-    Args:
-        run: The run.
 
     Raises:
         UserError: In place of a NotWrittenError.

@@ -74,12 +74,6 @@ def share_to_go_on_from(config: TrainConfig, capture: Capture, run: RunDirectory
 def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory, capture: Capture) -> None:
     """Refuse to go on with another model than the checkpoint's, or on another capture.
 
-    Args:
-        checkpoint: The state.
-        config: What the command asks for.
-        run: The run, for the message.
-        capture: What it would be trained on.
-
     Raises:
         UserError: Names the first setting that differs, and both values; the first training frame; or both kinds of
             images of a spectrum.
@@ -113,10 +107,6 @@ def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirecto
 
 def placed_as_trained(capture: Capture, checkpoint: Checkpoint) -> Capture:
     """The capture in the frame of a checkpoint's scene.
-
-    Args:
-        capture: What the run goes on with.
-        checkpoint: The state.
 
     Raises:
         UserError: The checkpoint is damaged.

@@ -83,6 +83,7 @@ class RunLogger:
         self.log_every = log_every
         self.device = device
         self.console = console if console is not None else SafeConsole(highlight=False)
+        self._has_live_line = self.console.is_terminal
         self.held_out: dict[str, float] = {}
         self.scene = ""
         """Which of several scenes is trained, for lines; "" where there is one."""
@@ -177,10 +178,8 @@ class RunLogger:
         due = record.step % self.log_every == 0 or record.step == self.max_steps
         if self._late is not None and (due or record.step >= self._late.step + LATE_BY):
             self._report_late()
-        if not due and not self.console.is_terminal:
-            return
         now = time.perf_counter()
-        if not due and now - self._refreshed < _REFRESH_SECONDS:
+        if not due and (now - self._refreshed < _REFRESH_SECONDS or not self._has_live_line):
             return
         self._refreshed = now
         if due or self.device.type == "cpu":
@@ -236,7 +235,7 @@ class RunLogger:
     def _report(self, record: StepRecord, *, due: bool) -> None:
         """Say how far training is, and write a line to the files if one is due."""
         line = self._line(record)
-        if self.console.is_terminal:
+        if self._has_live_line:
             self._show(line)
         else:
             self.say(line)

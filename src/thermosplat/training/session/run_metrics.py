@@ -44,27 +44,18 @@ def run_metrics(
         "model_bytes": model.num_bytes,
         "feature_channels": feature_channels(model),
         "opacity_offsets_kept": offsets_kept(model),
-        "point_spreads": model.formations.found("point_spread"),
         "formations": {name: dict(model.formations[name].numbers()) for name in model.spectra},
         **beside,
     }
 
 
 def feature_channels(model: SceneModel) -> int | None:
-    """Latent channels that are blended; None where there are no features.
-
-    Args:
-        model: The scene.
-    """
+    """Latent channels that are blended; None where there are no features."""
     return model.gaussians(SHARED).features.shape[1] if model.has_features else None
 
 
 def offsets_kept(model: SceneModel) -> dict[str, float]:
-    """By spectrum with opacity offsets, the share of the Gaussians whose offset is not zero.
-
-    Args:
-        model: The scene.
-    """
+    """By spectrum with opacity offsets, the share of the Gaussians whose offset is not zero."""
     kept = {}
     for name in model.gaussian_sets:
         gaussians = model.gaussians(name)

@@ -45,11 +45,7 @@ class RunResults:
         self._lpips: Lpips | None = None
 
     def with_whole(self, work: Callable[[], Any]) -> Any:
-        """Let rank 0 do something with the whole model, which it holds meanwhile; what it gives, None on the others.
-
-        Args:
-            work: What to do.
-        """
+        """Let rank 0 do something with the whole model, which it holds meanwhile; what it gives, None on the others."""
         if self._training.team.is_alone:
             return work()
         whole = self._keeping.gathered(training=False)
@@ -149,9 +145,6 @@ class RunResults:
 
     def write(self, judged: Judged) -> dict[str, Any]:
         """Write errors by region, corrected cameras and, last of all, metrics.json: where it is, everything is.
-
-        Args:
-            judged: The evaluation at the end.
 
         Returns:
             The content of metrics.json.

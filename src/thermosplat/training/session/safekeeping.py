@@ -38,9 +38,6 @@ GATHERING = 5.0
 class Safekeeping:
     """The checkpoints of a training, and its errors.
 
-    Args:
-        training: What is kept.
-
     Attributes:
         newest_checkpoint: Rank 0 knows it, whose host alone may have the folder: whoever lets ranks talk says how it is
             asked.

@@ -12,11 +12,10 @@ from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.budget.tolerances import Tolerances
 from thermosplat.training.fast_decoders import fast_decoding
-from thermosplat.training.finite_guard import FiniteGuard
-from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
-from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.frames.train_frames import SpectrumSchedule, TrainFrames
 from thermosplat.training.new_scenes import NewScenes
 from thermosplat.training.offloading import limit_device_memory
+from thermosplat.training.optimizers import FiniteGuard
 from thermosplat.training.recipe import Recipe
 from thermosplat.training.session.resuming import check_steps_left, placed_as_trained
 from thermosplat.training.session.run_logger import RunLogger

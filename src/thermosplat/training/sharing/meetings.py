@@ -16,9 +16,6 @@ from thermosplat.stop_signals import Stopped, handled_signals
 class Meetings:
     """Meetings of the ranks of a training.
 
-    Args:
-        team: The ranks.
-
     Attributes:
         signal: What this rank was sent; 0 for none.
         calls: On rank 0: whether all ranks are to come together after the step.

@@ -121,13 +121,7 @@ class _StandIn:
                 self.optimizers[name].state[parameter] = moments
 
     def carry_out(self, gaussians: Gaussians, optimizers: Optimizers, total: int) -> None:
-        """Let this rank's Gaussians and moments become its block of what rank 0 decided on.
-
-        Args:
-            gaussians: This rank's.
-            optimizers: Their optimizers.
-            total: Gaussians of all ranks afterwards.
-        """
+        """Let this rank's Gaussians and moments become its block of what rank 0 decided on."""
         whole = dict(self.gaussians.named_parameters()) if self.team.is_first else {}
         fetches = _Fetches(self.team, self.counts)
         replacements: dict[str, tuple[nn.Parameter, dict[str, Tensor]]] = {}

@@ -10,12 +10,7 @@ from thermosplat.training.training_state import TrainingState
 
 
 def add_up_replicated(team: Team, state: TrainingState) -> None:
-    """Sum the gradients of what every rank has whole, where some rank has one.
-
-    Args:
-        team: The ranks.
-        state: This one's.
-    """
+    """Sum the gradients of what every rank has whole, where some rank has one."""
     parameters = replicated_parameters(state)
     has = [int(parameter.grad is not None) for parameter in parameters]
     wanted = [any(of_all) for of_all in zip(*team.numbers(has), strict=True)] if has else []

@@ -14,10 +14,6 @@ from thermosplat.errors import UserError
 def check_same_capture(team: Team, capture: Capture) -> None:
     """Compare this rank's capture with rank 0's.
 
-    Args:
-        team: The ranks.
-        capture: What this rank has read.
-
     Raises:
         UserError: On the first rank whose capture is another one: names what differs, and both hosts.
         EndedElsewhere: On the others.

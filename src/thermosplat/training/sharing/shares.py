@@ -75,12 +75,7 @@ def divided_sets(sets: Mapping[str, Gaussians], ranks: int) -> list[dict[str, Ga
 
 
 def shares_of(checkpoint: Checkpoint, ranks: int) -> list[Checkpoint]:
-    """What each rank goes on from, of a whole checkpoint.
-
-    Args:
-        checkpoint: The checkpoint.
-        ranks: How many.
-    """
+    """What each rank goes on from, of a whole checkpoint."""
     model = SceneModel.from_checkpoint(checkpoint, "cpu")
     shares, starts = [], dict.fromkeys(model.gaussian_sets, 0)
     sets = {name: model.gaussians(name) for name in model.gaussian_sets}

@@ -9,8 +9,8 @@ from thermosplat.training.stages.density import DensityStage
 from thermosplat.training.stages.image_sizes import ImageSizes, SweptDepthsStage
 from thermosplat.training.stages.noise import NoiseStage
 from thermosplat.training.stages.scenes import Beginnings, SceneStage
-from thermosplat.training.stages.stage import Stage
 from thermosplat.training.stages.starting_spectra import StartingSpectra
+from thermosplat.training.step_kind import Stage
 
 
 def stages_of(

@@ -39,8 +39,7 @@ from thermosplat.training.budget.sh_bands import drop_bands
 from thermosplat.training.budget.teacher import Teacher
 from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
 from thermosplat.training.density.gaussian_ops import kept_on_failure
-from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
-from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
+from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames, SpectrumSchedule
 from thermosplat.training.out_of_memory import is_out_of_memory
 from thermosplat.training.training_state import TrainingState
 

@@ -15,8 +15,7 @@ from thermosplat.training.session.safekeeping import Safekeeping
 from thermosplat.training.session.training_parts import Training
 from thermosplat.training.sharing.shares import adopt, shares_of
 from thermosplat.training.stages.auto_budget import AutoBudget
-from thermosplat.training.stages.stage import Stage
-from thermosplat.training.step_kind import StepKind
+from thermosplat.training.step_kind import Stage, StepKind
 from thermosplat.training.training_state import TrainingState
 
 

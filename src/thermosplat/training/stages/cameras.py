@@ -10,8 +10,7 @@ from thermosplat.training.frames.shrunk_frames import shrunk_frame
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.new_scenes import of_passes
 from thermosplat.training.session.training_parts import Training
-from thermosplat.training.stages.stage import Stage
-from thermosplat.training.step_kind import StepKind
+from thermosplat.training.step_kind import Stage, StepKind
 
 WIDEST = (160, 320)
 """Width [px] that images of the cameras that are found have at most, by the number of the pass. Wrong by the same

@@ -5,8 +5,7 @@ from dataclasses import replace
 from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.resolution_schedule import most_gaussians
 from thermosplat.training.sharing.refining import refine
-from thermosplat.training.stages.stage import Stage
-from thermosplat.training.step_kind import StepKind
+from thermosplat.training.step_kind import Stage, StepKind
 
 
 class DensityStage(Stage):

@@ -5,8 +5,7 @@ from dataclasses import replace
 import torch
 
 from thermosplat.training.frames.resolution_schedule import image_factor, resolution_note
-from thermosplat.training.stages.stage import Stage
-from thermosplat.training.step_kind import StepKind
+from thermosplat.training.step_kind import Stage, StepKind
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.session.training_parts import Training
-from thermosplat.training.stages.stage import Stage
-from thermosplat.training.step_kind import StepKind
+from thermosplat.training.step_kind import Stage, StepKind
 
 
 class NoiseStage(Stage):

@@ -11,7 +11,7 @@ from thermosplat.training.new_scenes import of_passes
 from thermosplat.training.session.safekeeping import Safekeeping
 from thermosplat.training.session.training_parts import Training
 from thermosplat.training.sharing.shares import count_anew, divided_sets
-from thermosplat.training.stages.stage import Stage
+from thermosplat.training.step_kind import Stage
 
 
 class Beginnings:
@@ -72,13 +72,7 @@ class Beginnings:
 
 
 class SceneStage(Stage):
-    """Several scenes, of which the last that start are all of them in one.
-
-    Args:
-        training: What it works on.
-        beginnings: How the next one starts.
-        keeping: Gathers the scene of all ranks.
-    """
+    """Several scenes, of which the last that start are all of them in one."""
 
     def __init__(self, training: Training, beginnings: Beginnings, keeping: Safekeeping) -> None:
         super().__init__(training)

@@ -2,8 +2,7 @@
 
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.sharing.shares import count_anew
-from thermosplat.training.stages.stage import Stage
-from thermosplat.training.step_kind import StepKind
+from thermosplat.training.step_kind import Stage, StepKind
 
 
 class StartingSpectra(Stage):
