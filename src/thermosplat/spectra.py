@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-Source = Literal["photograph", "auto", "color", "raw"]
+Source = Literal["photograph", "auto", "color", "raw", "labels"]
 Opacity = Literal["shared", "offset", "own"]
 Exposure = Literal["fixed", "level", "affine"]
-ColorSpace = Literal["photograph", "color", "scalar"]
+ColorSpace = Literal["photograph", "color", "scalar", "labels"]
 
 CELSIUS = "celsius"
 """The unit in which temperatures are kept and reported."""
@@ -52,7 +52,10 @@ class SpectrumConfig:
     more than 8 bits beside displayable images lie in <the usual name>_raw."""
     source: Source = "raw"
     """What its images are. "photograph": colours. "color": pseudo-colours, whose palette gives a scalar. "raw": one
-    value per pixel. "auto": pseudo-colours where the capture has them, else values."""
+    value per pixel. "auto": pseudo-colours where the capture has them, else values. "labels": 8-bit grey, the number of
+    a class (``classes``); 255 is no class."""
+    classes: tuple[str, ...] = ()
+    """Names of the classes 0, 1, ... of label images."""
     unit: str = COUNTS
     """Unit of its values. kelvin, celsius, their tenths, hundredths and (of kelvin) thousandths such as centikelvin,
     fahrenheit: temperatures, reported in °C, in any usual spelling. "auto": the capture's own statement (units.json),
@@ -113,7 +116,7 @@ class SpectrumConfig:
         object.__setattr__(self, "unit", unit_named(self.unit))
 
 
-STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
+STRUCTURE = ("classes", "opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
 """Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
 
 
@@ -155,9 +158,9 @@ class Spectrum:
     name: str
     """Its name in files and flags."""
     channels: int
-    """Channels of its images: 3 for photographs and pseudo-colours, 1 for values."""
+    """Channels of its images: 3 for photographs, pseudo-colours and labels, 1 for values."""
     color_space: ColorSpace
-    """What they are: "photograph", "color" (pseudo-colours) or "scalar"."""
+    """What they are: "photograph", "color" (pseudo-colours), "scalar" or "labels" (in the colours of classes)."""
     opacity: Opacity
     """Which opacity the Gaussians have in it; "shared" for the first spectrum of a set."""
     latent: tuple[int, int]
@@ -181,6 +184,8 @@ def folder_names(name: str, spectrum: SpectrumConfig) -> tuple[str, ...]:
 def latent_channels(spectra: Mapping[str, SpectrumConfig]) -> dict[str, tuple[int, int]]:
     """The latent channels that losses supervise with each spectrum: three per photograph, one per scalar, in order.
 
+    No channel stands for labels.
+
     Args:
         spectra: The modelled spectra by name.
 
@@ -189,7 +194,7 @@ def latent_channels(spectra: Mapping[str, SpectrumConfig]) -> dict[str, tuple[in
     """
     found, first = {}, 0
     for name, spectrum in spectra.items():
-        count = 0 if spectrum.features is None else 3 if spectrum.source == "photograph" else 1
+        count = {"photograph": 3, "labels": 0}.get(spectrum.source, 1) if spectrum.features is not None else 0
         found[name] = first, first + count
         first += count
     return found

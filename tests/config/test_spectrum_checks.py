@@ -47,6 +47,24 @@ def test_names_that_they_can_have(name: str) -> None:
     check_config(with_spectra(TrainConfig(), **{name: {}}))
 
 
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        ({"source": "labels"}, "between 2 and 255 different names where source is labels, found 0: none"),
+        ({"source": "labels", "classes": ("a",)}, "between 2 and 255 .*, found 1: a"),
+        ({"source": "labels", "classes": ("a", "b", "a")}, "between 2 and 255 .*, found 3: a, b, a"),
+        ({"source": "labels", "classes": ("a", " ")}, "between 2 and 255 .*, found 2: a,  "),
+        ({"source": "labels", "classes": tuple(map(str, range(256)))}, "between 2 and 255 .*, found 256: 0, 1"),
+        ({"classes": ("a", "b")}, "none where source is raw, found 2: a, b"),
+    ],
+)
+def test_labels_have_names_for_their_classes(settings: dict[str, Any], found: str) -> None:
+    """As many as an 8-bit image can tell apart, each once; nothing else has classes."""
+    error = refused(with_spectra(TrainConfig(), parts=settings))
+    assert re.match(f"--parts.classes must be {found}", error.message)
+    assert "classes: [background, window, door]" in error.hint
+
+
 def test_a_spectrum_that_is_left_out_exists() -> None:
     """A typo gets a suggestion and the names that there are."""
     error = refused(replace(TrainConfig(), without=("termal",)))

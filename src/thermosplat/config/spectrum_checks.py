@@ -5,8 +5,9 @@ import difflib
 import re
 from collections.abc import Callable, Mapping
 
+from thermosplat.class_colors import MOST_CLASSES
 from thermosplat.config import TrainConfig
-from thermosplat.config.values import nearest
+from thermosplat.config.values import nearest, shortened
 from thermosplat.errors import UserError
 from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, SpectrumConfig, folder_names, label
 
@@ -16,6 +17,7 @@ RESERVED = frozenset(
         *("pixels", "points", "scene", "shared", "spectra", "step", "steps", "train", "test", "visible"),
         *("num_gaussians", "train_seconds", "wall_seconds", "first_step_seconds", "lpips_net", "model_bytes"),
         *("feature_channels", "opacity_offsets_kept", "point_spreads", "training_views", "remarks", "formations"),
+        "classes",
         # what torch's ModuleDict and ParameterDict, which hold networks by spectrum, call their own
         *("add_module", "apply", "bfloat16", "buffers", "call_super_init", "children", "clear", "compile", "copy"),
         *("cpu", "cuda", "double", "dump_patches", "eval", "extra_repr", "float", "forward", "fromkeys", "get"),
@@ -104,6 +106,7 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
     if not re.fullmatch("[A-Za-z0-9_/^-]+", settings.unit):
         raise UserError(f"{called('unit')} must be one word, found {settings.unit!r}.", "For example: reflectance")
     _check_unit(settings.unit, called("unit"))
+    _check_classes(settings, called("classes"))
     for folder in settings.folders:
         if folder in ("", ".", "..") or "/" in folder or "\\" in folder:
             raise UserError(f"{called('folders')} must be names of folders inside the capture, found {folder!r}.")
@@ -115,6 +118,19 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
                 f"{called(field)} must be another spectrum, found {value!r}{nearest(value, known)}.",
                 f"There are: {', '.join(known) or 'no others'}.",
             )
+
+
+def _check_classes(settings: SpectrumConfig, called: str) -> None:
+    """Labels have names for their classes, and nothing else has."""
+    names = settings.classes
+    expected = f"between 2 and {MOST_CLASSES} different names" if settings.source == "labels" else "none"
+    right = 2 <= len(names) <= MOST_CLASSES and all(map(str.strip, names)) if settings.source == "labels" else not names
+    if not right or len(set(names)) < len(names):
+        raise UserError(
+            f"{called} must be {expected} where source is {settings.source}, found {len(names)}: "
+            f"{shortened(', '.join(names)) or 'none'}.",
+            "In a YAML file: labels: {source: labels, classes: [background, window, door]}",
+        )
 
 
 def _check_unit(unit: str, called: str) -> None:

@@ -166,7 +166,7 @@ def rendered_images(
         if not names:
             continue
         for name in names:
-            if measured is not None and scales[name].kind != "photograph" and scales[name].measured_unit is not None:
+            if measured is not None and scales[name].has_intensity and scales[name].measured_unit is not None:
                 image, view = rendered.images[name], point.views[name]
                 measured(index, name, _values(name, image, rendered.alphas[name], view, scales[name], temperatures))
         spans = {} if ranges is None or (temperatures is not None and temperatures.text) else ranges

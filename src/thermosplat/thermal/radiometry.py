@@ -211,7 +211,8 @@ class PixelScale:
     """What the pixel values of a capture's images of one spectrum mean.
 
     Args:
-        kind: "photograph" for colours, "color" for pseudo-colours, "scalar" for one value per pixel.
+        kind: "photograph" for colours, "color" for pseudo-colours, "scalar" for one value per pixel, "labels" for
+            colours of classes.
         palette: The data's palette ("color"), or the one to show a scalar with.
         range: Values [unit] that intensity 0 and 1 stand for; None where the data has no unit.
         unit: The values' unit, "celsius" for temperatures; None where the data has none.
@@ -224,8 +225,13 @@ class PixelScale:
 
     @property
     def channels(self) -> int:
-        """Channels of an image: 3 for photographs and pseudo-colours, 1 for values."""
+        """Channels of an image: 1 for values, else 3."""
         return 1 if self.kind == "scalar" else 3
+
+    @property
+    def has_intensity(self) -> bool:
+        """Whether a pixel stands for one number: of values, and of pseudo-colours."""
+        return self.kind in ("color", "scalar")
 
     @property
     def measured_unit(self) -> str | None:

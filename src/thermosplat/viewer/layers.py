@@ -288,9 +288,9 @@ def image_layer(
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3
     recalculates = temperatures is not None and temperatures.scene.recalculates(layer.spectrum)
-    if scale.kind == "photograph" or (scale.kind == "color" and not values and not recalculates):
+    if not scale.has_intensity or (scale.kind == "color" and not values and not recalculates):
         colors = _bytes(image if valid is None else torch.where(valid[..., None], image, 0.0))
-        if scale.kind == "photograph":
+        if not scale.has_intensity:
             return LayerImage(layer, None, colors, scale.palette, None)
         return LayerImage(layer, None, colors, scale.palette, span, unit, quantity, decimals)
     intensity = pixel_intensity(image, scale)  # evaluation.held_out.RenderedView.intensity, whose errors are the MAE

@@ -51,6 +51,10 @@ def read_spectrum(
         meaning = PixelMeaning("photograph", PixelScale("photograph"), COUNTS)
         pixels = tuple(file if file is None else meaning.pixels(file) for file in files)
         return SpectrumReading(meaning, pixels, tuple(_constant_notes(name, present)), displays)
+    if spectrum.source == "labels":
+        meaning = PixelMeaning("labels", PixelScale("labels"), COUNTS, classes=len(spectrum.classes))
+        pixels = tuple(file if file is None else meaning.pixels(file) for file in files)
+        return SpectrumReading(meaning, pixels, (), displays)
     statement = RadiometricStatement()
     if may_be_temperature(spectrum.unit):
         below_images = spectrum_folder(image_folder(root, "images"), name, spectrum)

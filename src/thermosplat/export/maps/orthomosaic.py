@@ -137,7 +137,7 @@ def render_map(
         where they were.
     """
     recalculated = temperatures is not None and temperatures.recalculates(name)
-    bands = 3 if scale.kind == "photograph" else 2 if recalculated else 1
+    bands = 3 if not scale.has_intensity else 2 if recalculated else 1
     picture = np.full((bands, grid.height, grid.width), np.nan, np.float32)
     for left, upper, width, height in grid.tiles():
         view = grid.view(left, upper, width, height, model.background.device)

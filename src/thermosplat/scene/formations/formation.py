@@ -83,6 +83,8 @@ class Formation(nn.Module):
     """Whether ``harmonics`` show its images as they are."""
     layers: tuple[str, ...] = ()
     """What else a viewer may show of it, by name: values in [0, 1] (``layer``)."""
+    classes: tuple[str, ...] = ()
+    """Names of the classes that its images tell (``classes_in``)."""
 
     def __init__(self, spectrum: Spectrum, common: Common) -> None:
         super().__init__()
@@ -234,6 +236,14 @@ class Formation(nn.Module):
             mask: bool [H, W], which pixels count; None: all.
         """
         return {}
+
+    def classes_in(self, image: Tensor) -> Tensor:
+        """The number of each pixel's class among ``classes``, [H, W] integers; another number: none.
+
+        Args:
+            image: Its image or render, [H, W, channels].
+        """
+        raise NotImplementedError
 
     def numbers(self) -> Mapping[str, float]:
         """What training has found beside images, for metrics.json, by name."""

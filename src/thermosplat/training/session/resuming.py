@@ -21,6 +21,7 @@ _IMAGES = {
     "photograph": "photographs as {} images",
     "color": "pseudo-coloured {} images",
     "scalar": "{} images of one channel",
+    "labels": "{} images of classes",
     None: "no {} images",
 }
 """By the kind of their scale."""
