@@ -77,7 +77,7 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         (
             "densification.strategy",
             "decomposing",
-            "needs a shared set of at least two, each with an opacity of its own",
+            "needs a shared set of at least two, each with an opacity of its",
         ),
         ("spectra.thermal.train_from", 1.5, "--thermal.train-from must lie between 0 and 1"),
         ("loss.balance", True, "--loss.balance is about separate sets of Gaussians, one per spectrum"),

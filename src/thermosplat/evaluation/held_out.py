@@ -225,7 +225,7 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
     numbers: dict[str, float | None] = {
         "psnr": psnr(result.image, result.target, result.mask),
         "ssim": ssim(result.image, result.target, result.mask),
-        "lpips": None if lpips is None else lpips(result.counted, result.target),
+        "lpips": None if lpips is None else lpips(result.counted[..., :3], result.target[..., :3]),
     }
     if result.scale.unit is not None:
         numbers |= {f"{MAE}{result.scale.unit}": None, f"{BIAS}{result.scale.unit}": None}

@@ -146,7 +146,7 @@ def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -
         colors: Palette or scalar; photographs are as they are.
     """
     if not scale.has_intensity or (scale.kind == "color" and colors == "palette"):
-        return image
+        return image[..., :3]
     intensity = pixel_intensity(image, scale)
     if colors == "scalar":
         return intensity[..., None].expand(*intensity.shape, 3).to(image)

@@ -150,6 +150,7 @@ def render_map(
         elif bands == 1:
             intensity = pixel_intensity(image, scale)
             image = (intensity if scale.measured_unit is None else scale.value(intensity))[..., None]
+        image = image[..., :bands]  # of a stack the first
         seen = (rendered.alphas[name] >= LEAST_COVER).expand_as(image).to(image.device)
         part = torch.where(seen, image, torch.nan).permute(2, 0, 1).cpu().numpy()
         picture[:, upper : upper + height, left : left + width] = part

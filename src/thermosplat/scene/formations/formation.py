@@ -20,6 +20,7 @@ from thermosplat.scene.formations.image_terms import LossTerm, image_terms
 from thermosplat.scene.gaussians import SH_C0, Gaussians, PointColors
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.spectra import Spectrum, SpectrumConfig
+from thermosplat.thermal.radiometry import PixelScale
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -82,7 +83,7 @@ class Formation(nn.Module):
     exact_splats = False
     """Whether ``harmonics`` show its images as they are."""
     layers: tuple[str, ...] = ()
-    """What else a viewer may show of it, by name: values in [0, 1] (``layer``)."""
+    """What else a viewer may show of it, by name (``layer``)."""
     classes: tuple[str, ...] = ()
     """Names of the classes that its images tell (``classes_in``)."""
 
@@ -107,6 +108,13 @@ class Formation(nn.Module):
         return self.spectrum.name
 
     # ---- before anything is blended ----------------------------------------------------------------------------------
+
+    def begin(self, scale: PixelScale) -> None:
+        """Take over what the capture says of the spectrum's images, before training.
+
+        Args:
+            scale: What its pixels mean.
+        """
 
     def initial(self, points: PointColors, *, is_first: bool) -> dict[str, Tensor]:
         """What Gaussians hold for this spectrum alone, at the start of training.
@@ -226,6 +234,14 @@ class Formation(nn.Module):
             rendered: A render that has this spectrum.
         """
         raise NotImplementedError
+
+    def layer_range(self, layer: str) -> tuple[float, float]:
+        """Values of one of ``layers`` at the ends of its palette.
+
+        Args:
+            layer: Its name.
+        """
+        return 0.0, 1.0
 
     def scores(self, image: Tensor, target: Tensor, mask: Tensor | None) -> Mapping[str, float]:
         """What a held-out image is judged by beside PSNR, SSIM, LPIPS and errors of measured values, by name.

@@ -1,25 +1,22 @@
 """Labels: which class a pixel belongs to, as label images teach it (Feature 3DGS, Zhou et al. 2024; MMOne).
 
-A network turns what is blended into one score for each class, and the image shows the best one in its colour. Where
-Gaussians have features, they are the scene's: they learn of labels, too. Without, labels have SH colours of their own,
-which stand for no colour, as MMOne's embeddings do.
+The network has a score for each class, and the image shows the best one in its colour.
 """
 
-import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from thermosplat.class_colors import colors_of, numbers_of
 from thermosplat.config import LossConfig, ModelConfig
 from thermosplat.fused.image_loss import ImageTerm
-from thermosplat.scene.decoding_in_parts import decode_in_parts
-from thermosplat.scene.formations.formation import Blended, Common, Formation
+from thermosplat.scene.formations.formation import Blended, Common
 from thermosplat.scene.formations.image_terms import LossTerm
-from thermosplat.scene.gaussians import SH_C0, Gaussians, PointColors, sh_names
+from thermosplat.scene.formations.own_network import NetworkFormation
+from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.spectra import Spectrum, SpectrumConfig
 
@@ -34,46 +31,26 @@ _MIXED = 0.01
 """Distance from an 8-bit level from which on a colour is a mean of several [levels]."""
 
 
-class LabelFormation(Formation):
+class LabelFormation(NetworkFormation):
     """The image has the colours of the most probable classes.
 
     Attributes:
         classes: Names of the classes.
-        network: What is blended, [..., d], -> scores of classes, [..., K].
     """
 
     def __init__(self, spectrum: Spectrum, common: Common) -> None:
-        super().__init__(spectrum, common)
+        super().__init__(spectrum, common, len(spectrum.settings.classes))
         self.classes = spectrum.settings.classes
-        self.takes_features = common.model.feature_dim > 0
-        self.takes_colors = not self.takes_features
-        inputs, hidden = common.model.feature_dim or 3, common.decoding.hidden_dim
-        self.network = nn.Sequential(nn.Linear(inputs, hidden), nn.SiLU(), nn.Linear(hidden, len(self.classes)))
 
     @classmethod
     def is_for(cls, spectrum: Spectrum, model: ModelConfig) -> bool:
         """As of ``Formation``: its images are labels."""
         return spectrum.settings.source == "labels"
 
-    def initial(self, points: PointColors, *, is_first: bool) -> dict[str, Tensor]:
-        """As of ``Formation``: SH colours where there are no features."""
-        if is_first or self.takes_features:
-            return {}
-        return dict(zip(sh_names(self.name), points.harmonics(self.spectrum), strict=True))
-
-    def through_optics(self, blended: Blended) -> Blended:
-        """As of ``Formation``: what the network takes are features, wherever it comes from."""
-        return blended if self.takes_features else dataclasses.replace(blended, features=blended.colors)
-
     def render(self, blended: Blended, decoded: Tensor | None) -> Tensor:
-        """As of ``Formation``.
-
-        Raises:
-            ValueError: Nothing was blended that has classes.
-        """
-        if blended.features is None:
-            raise ValueError(f"{self.name} takes features or SH colours, and none were blended.")
-        return self._shown(blended.features)
+        """As of ``Formation``."""
+        with torch.no_grad():
+            return _shown(self.made_of(blended.features))
 
     def losses(
         self, rendered: RenderedFrame, view: "ViewTensors", settings: SpectrumConfig, weights: LossConfig
@@ -92,13 +69,11 @@ class LabelFormation(Formation):
 
     def pixels_of_features(self, features: Tensor, alpha: Tensor, view: "ViewTensors", every: int) -> Tensor:
         """As of ``Formation``: probabilities of the classes."""
-        return self.network(features.flatten(0, 1)[::every]).softmax(dim=-1)
+        return super().pixels_of_features(features, alpha, view, every).softmax(dim=-1)
 
     def image_of(self, gaussians: Gaussians) -> Tensor:
         """As of ``Formation``: the class of its own features."""
-        if self.takes_features:
-            return self._shown(gaussians.expanded(gaussians.features))
-        return self._shown(0.5 + SH_C0 * gaussians.sh_coeffs_of(self.name)[0][:, 0])
+        return _shown(self.of_each(gaussians))
 
     def classes_in(self, image: Tensor) -> Tensor:
         """As of ``Formation``; colours that are mixed, as in smaller images, are of none."""
@@ -119,13 +94,7 @@ class LabelFormation(Formation):
             shares[f"iou_{name}"] = (is_found & is_true).sum().item() / union if union else float("nan")
         return {"miou": torch.tensor(list(shares.values())).nanmean().item(), **shares}
 
-    @torch.no_grad()
-    def _shown(self, features: Tensor) -> Tensor:
-        """Colours of the best classes, [..., 3]."""
-        parted = features.ndim == 3
-        scores = decode_in_parts(self._scores, {self.name: features})[self.name] if parted else self.network(features)
-        best = scores.argmax(dim=-1)
-        return torch.stack(colors_of(best), dim=-1) / 255.0
 
-    def _scores(self, features: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        return {name: self.network(values) for name, values in features.items()}
+def _shown(scores: Tensor) -> Tensor:
+    """Colours of the best classes, [..., 3], of scores [..., K]."""
+    return torch.stack(colors_of(scores.argmax(dim=-1)), dim=-1) / 255.0

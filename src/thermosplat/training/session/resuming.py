@@ -22,6 +22,7 @@ _IMAGES = {
     "color": "pseudo-coloured {} images",
     "scalar": "{} images of one channel",
     "labels": "{} images of classes",
+    "stack": "{} images of many channels",
     None: "no {} images",
 }
 """By the kind of their scale."""
