@@ -173,8 +173,8 @@ class Spectrum:
     """Channels of its images: 3 for photographs, pseudo-colours and labels, 1 for values, of stacks those of the basis
     and one for what is left."""
     color_space: ColorSpace
-    """What they are: "photograph", "color" (pseudo-colours), "scalar", "labels" (in the colours of classes) or "stack" (of
-    channels, in a basis)."""
+    """What they are: "photograph", "color" (pseudo-colours), "scalar", "labels" (in the colours of classes) or "stack"
+    (of channels, in a basis)."""
     opacity: Opacity
     """Which opacity the Gaussians have in it; "shared" for the first spectrum of a set."""
     latent: tuple[int, int]

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping
 
 from thermosplat.class_colors import MOST_CLASSES
 from thermosplat.config import TrainConfig
+from thermosplat.config.band_formulas import parsed
 from thermosplat.config.values import nearest, shortened
 from thermosplat.errors import UserError
-from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, SpectrumConfig, folder_names, label
+from thermosplat.spectra import COUNTS, STACKS, TEMPERATURE_UNITS, SpectrumConfig, folder_names, label
 
 RESERVED = frozenset(
     {
@@ -38,6 +39,8 @@ _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
 """In a unit's name it says that values are temperatures."""
 _LIKE_A_UNIT = 0.75
 """Likeness (difflib's ratio) from which on a word is a mistyped unit: "celcius", not "reflectance" or "percent"."""
+MOST_CHANNELS = 4096
+"""Channels of a stack: their products with each other, which the basis is found of, take 128 MiB."""
 MOST_POINT_SPREAD = 0.1
 """Standard deviation of the widest blur that a camera may have [of an image's width]: nothing could be seen beyond it,
 and a pixel would take longer than all others."""
@@ -107,6 +110,7 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
         raise UserError(f"{called('unit')} must be one word, found {settings.unit!r}.", "For example: reflectance")
     _check_unit(settings.unit, called("unit"))
     _check_classes(settings, called("classes"))
+    _check_stack(settings, called)
     for folder in settings.folders:
         if folder in ("", ".", "..") or "/" in folder or "\\" in folder:
             raise UserError(f"{called('folders')} must be names of folders inside the capture, found {folder!r}.")
@@ -131,6 +135,23 @@ def _check_classes(settings: SpectrumConfig, called: str) -> None:
             f"{shortened(', '.join(names)) or 'none'}.",
             "In a YAML file: labels: {source: labels, classes: [background, window, door]}",
         )
+
+
+def _check_stack(settings: SpectrumConfig, called: Name) -> None:
+    """Stacks have channels, and nothing else has; formulas are of bands."""
+    if (settings.source in STACKS) != (settings.channels > 0):
+        expected = f"1 to {MOST_CHANNELS:,}" if settings.source in STACKS else "0"
+        raise UserError(
+            f"{called('channels')} must be {expected} where source is {settings.source}, found {settings.channels}.",
+            "In a YAML file: nir: {source: bands, channels: 31}",
+        )
+    if settings.channels > MOST_CHANNELS:
+        raise UserError(f"{called('channels')} must be at most {MOST_CHANNELS:,}, found {settings.channels:,}.")
+    if settings.derived and settings.source != "bands":
+        raise UserError(f"{called('derived')} are layers of bands, and source is {settings.source}.")
+    names = [parsed(text, settings.channels, called("derived")).name for text in settings.derived]
+    if len(set(names)) < len(names):
+        raise UserError(f"{called('derived')} gives two layers one name: {', '.join(names)}.")
 
 
 def _check_unit(unit: str, called: str) -> None:

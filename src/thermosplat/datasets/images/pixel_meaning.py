@@ -68,6 +68,7 @@ class PixelMeaning:
     Args:
         kind: "photograph" and "color": their colours as they are. "grey": level / 255. "raw": radiometric values
             between `ends`. "labels": levels are classes, which have colours.
+            "stack": channels in a basis.
         scale: What the pixels mean.
         unit: Unit of radiometric values in the files.
         factor: What those are multiplied by.
@@ -75,7 +76,7 @@ class PixelMeaning:
         classes: How many there are, of kind "labels".
     """
 
-    kind: Literal["photograph", "color", "grey", "raw", "labels"]
+    kind: Literal["photograph", "color", "grey", "raw", "labels", "stack"]
     scale: PixelScale
     unit: str
     factor: float = 1.0

@@ -130,6 +130,10 @@ class Formation(nn.Module):
         """
         return {}
 
+    def basis_of_images(self) -> Tensor | None:
+        """Orthonormal rows in which its images are read, [n, channels]; None: they are read as they are."""
+        return None
+
     # ---- the image ---------------------------------------------------------------------------------------------------
 
     def through_optics(self, blended: Blended) -> Blended:
@@ -234,6 +238,17 @@ class Formation(nn.Module):
             rendered: A render that has this spectrum.
         """
         raise NotImplementedError
+
+    def ask(self, query: Tensor) -> bool:
+        """Let one of ``layers`` show how well pixels fit a direction; whether images are such that they can.
+
+        Args:
+            query: Numbers, [channels].
+
+        Raises:
+            UserError: It has another number of channels, or is no direction.
+        """
+        return False
 
     def layer_range(self, layer: str) -> tuple[float, float]:
         """Values of one of ``layers`` at the ends of its palette.
