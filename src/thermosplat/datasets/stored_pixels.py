@@ -26,6 +26,8 @@ from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.errors import UserError
 from thermosplat.spectra import Source
 
+_CHANNELS_AT_ONCE = 4
+"""OpenCV resamples no more."""
 _INVERTING_PIXELS = 1 << 18
 """The inverse of a palette takes 40 bytes for each of so many pixels at most: a table, and some pixels at a time."""
 
@@ -70,6 +72,10 @@ def seen_by(camera: Camera, lens: Lens | None, pixels: SpectrumPixels) -> Spectr
     ideal = None if lens is None else rectification(lens, width, height)
 
     def seen(array: NDArray[Any], *, exact: bool = False) -> NDArray[Any]:
+        if array.ndim == 3 and array.shape[2] > _CHANNELS_AT_ONCE:
+            starts = range(0, array.shape[2], _CHANNELS_AT_ONCE)
+            parts = (seen(array[..., start : start + _CHANNELS_AT_ONCE], exact=exact) for start in starts)
+            return np.dstack([*parts])
         ideally = array if ideal is None else ideal.apply(array, exact=exact)
         return resize(ideally, camera.width, camera.height, exact=exact)
 

@@ -9,7 +9,8 @@ import torch
 
 from thermosplat.datasets.frame_files import Shot
 from thermosplat.datasets.images.stack_images import read_stacks
-from thermosplat.datasets.lens import Lens
+from thermosplat.datasets.lens import Lens, rectified_camera
+from thermosplat.datasets.stored_pixels import seen_by
 from thermosplat.errors import UserError
 from thermosplat.scene.formations.stacks import cosines, squared_errors
 from thermosplat.spectra import LATENT, SpectrumConfig
@@ -52,6 +53,20 @@ def test_cosines_are_those_of_all_channels(tmp_path: Path) -> None:
     expected = (features * stack).sum(axis=-1) / lengths
     image = torch.nn.functional.pad((made + 1) / 2, (0, 1))
     np.testing.assert_allclose(cosines(image, true), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_RADIAL"])
+def test_stacks_are_resampled(tmp_path: Path, model: str) -> None:
+    """However many channels there are, at another size, and through a lens."""
+    np.save(tmp_path / "a.npy", np.ones((12, 16, 40), np.float32))
+    lens = Lens(model, (18.0, 8.0, 6.0, 0.1) if model == "SIMPLE_RADIAL" else (18.0, 18.0, 8.0, 6.0), 16, 12)
+    shot = Shot(tmp_path / "a.npy", lens, np.eye(4))
+    (pixels,) = read_stacks([shot], SpectrumConfig(channels=40, source="bands", range=(0.0, 2.0))).pixels
+    assert pixels is not None
+    camera = rectified_camera(lens, 16, 12).resized(8, 6)
+    smaller = seen_by(camera, lens, pixels)
+    assert smaller.image.shape == (6, 8, LATENT + 1)
+    np.testing.assert_allclose(smaller.image, np.broadcast_to(pixels.image[0, 0], smaller.image.shape), atol=1e-6)
 
 
 def test_few_channels_are_kept_whole(tmp_path: Path) -> None:
