@@ -65,6 +65,24 @@ def test_labels_have_names_for_their_classes(settings: dict[str, Any], found: st
     assert "classes: [background, window, door]" in error.hint
 
 
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        ({"source": "bands"}, "--parts.channels must be 1 to 4,096 where source is bands, found 0"),
+        ({"source": "features", "channels": 4097}, "--parts.channels must be at most 4,096, found 4,097"),
+        ({"channels": 3}, "--parts.channels must be 0 where source is raw, found 3"),
+        ({"source": "features", "channels": 3, "derived": ("x = b1",)}, "--parts.derived are layers of bands"),
+        ({"source": "bands", "channels": 3, "derived": ("x = b4",)}, "--parts.derived: 'x = b4' has 'b4'"),
+        ({"source": "bands", "channels": 3, "derived": ("x = b1", "x = b2")}, "--parts.derived gives two layers one"),
+        ({"source": "bands", "channels": 3, "smoothness": 0.1}, "--parts.smoothness is of images that a camera took"),
+        ({"source": "labels", "classes": ("a", "b"), "exposure": "affine"}, "--parts.exposure is of images"),
+    ],
+)
+def test_stacks_have_channels(settings: dict[str, Any], found: str) -> None:
+    """Nothing else has; formulas are of bands that exist; settings of cameras are refused."""
+    assert refused(with_spectra(TrainConfig(), parts=settings)).message.startswith(found)
+
+
 def test_a_spectrum_that_is_left_out_exists() -> None:
     """A typo gets a suggestion and the names that there are."""
     error = refused(replace(TrainConfig(), without=("termal",)))

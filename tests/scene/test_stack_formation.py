@@ -1,6 +1,5 @@
 """Features and bands as spectra: learnt in a basis that is kept, asked by vectors, combined by formulas."""
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -8,33 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat.datasets.capture import Capture, Frame, View
+from stacked_toy import BASIS, CHANNELS, stacked
 from thermosplat.errors import UserError
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import LATENT
-from thermosplat.thermal.radiometry import PixelScale
 from toy_run import many_frames, toy_run_config, toy_sizes, toy_trainer
-from toy_scene import HEIGHT, WIDTH, toy_capture
-
-CHANNELS = 20
-BASIS = np.linalg.qr(np.random.default_rng(2).normal(size=(CHANNELS, LATENT)))[0].T.astype(np.float32)
-
-
-def stacked_capture() -> Capture:
-    """The toy capture with a stack whose pixels have the direction of the first row of the basis."""
-    capture = many_frames(toy_capture())
-    image = np.full((HEIGHT, WIDTH, LATENT + 1), 0.5, np.float32)
-    image[..., 0], image[..., -1] = 0.75, 0.1
-
-    def stacked(frame: Frame) -> Frame:
-        rgb = frame.views["rgb"]
-        view = View("stack", rgb.name, Path("s.npy"), rgb.camera, rgb.viewmat, image)
-        return Frame(frame.name, {**frame.views, "stack": view})
-
-    train, test = (tuple(map(stacked, frames)) for frames in (capture.train, capture.test))
-    scales = {**capture.scales, "stack": PixelScale("stack", range=(0.0, 1.0), basis=BASIS)}
-    return dataclasses.replace(capture, train=train, test=test, scales=scales)
+from toy_scene import toy_capture
 
 
 @pytest.mark.parametrize(
@@ -44,7 +23,7 @@ def stacked_capture() -> Capture:
 def test_stacks_are_learnt_and_kept(tmp_path: Path, source: str, score: str, model: dict[str, Any]) -> None:
     """Training raises their score, and a checkpoint has their basis and renders the same."""
     config = toy_run_config(4, spectra={"stack": {"source": source, "channels": CHANNELS, "loss": 20.0}}, model=model)
-    trainer = toy_trainer(tmp_path, config, stacked_capture())
+    trainer = toy_trainer(tmp_path, config, stacked(many_frames(toy_capture())))
     frame, scene = trainer.frames[0], trainer.state.model
 
     def scored() -> float:
@@ -67,7 +46,7 @@ def test_stacks_are_learnt_and_kept(tmp_path: Path, source: str, score: str, mod
 def test_features_are_asked_by_a_vector() -> None:
     """The layer has the cosine of what was rendered and the vector; a vector of another length is refused."""
     config = toy_run_config(2, spectra={"stack": {"source": "features", "channels": CHANNELS}})
-    model = SceneModel.from_capture(config, stacked_capture(), "cpu")
+    model = SceneModel.from_capture(config, stacked(many_frames(toy_capture())), "cpu")
     formation = model.formations["stack"]
     assert formation.layers == ()
     assert formation.ask(torch.from_numpy(BASIS[1] * 5))
@@ -87,7 +66,7 @@ def test_bands_are_combined() -> None:
     """A vegetation index of what was rendered; where it has no value it is 0."""
     derived = ("ndvi = (b2 - b1) / (b2 + b1)",)
     spectra = {"stack": {"source": "bands", "channels": CHANNELS, "derived": derived}}
-    model = SceneModel.from_capture(toy_run_config(2, spectra=spectra), stacked_capture(), "cpu")
+    model = SceneModel.from_capture(toy_run_config(2, spectra=spectra), stacked(many_frames(toy_capture())), "cpu")
     formation = model.formations["stack"]
     assert formation.layers == ("ndvi",)
     assert formation.layer_range("ndvi") == (-1.0, 1.0)

@@ -34,6 +34,10 @@ RESERVED = frozenset(
     }
 )
 """Names that files, tables and modules use for something else."""
+_OF_IMAGES = {"smoothness": 0.0, "squared": 0.0, "swept_depth": 0.0, "point_spread": 0.0, "by_noise": False} | {
+    "exposure": "fixed"
+}
+"""Settings that labels, features and bands do not have, and what they are then."""
 _SHARES = ("train_from", "train_until")
 _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
 """In a unit's name it says that values are temperatures."""
@@ -111,6 +115,14 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
     _check_unit(settings.unit, called("unit"))
     _check_classes(settings, called("classes"))
     _check_stack(settings, called)
+    if settings.source in ("labels", *STACKS):
+        for field, usual in _OF_IMAGES.items():
+            if getattr(settings, field) != usual:
+                raise UserError(
+                    f"{called(field)} is of images that a camera took, and {label(spectrum)} ({settings.source}) "
+                    "was made of them.",
+                    "Leave it out.",
+                )
     for folder in settings.folders:
         if folder in ("", ".", "..") or "/" in folder or "\\" in folder:
             raise UserError(f"{called('folders')} must be names of folders inside the capture, found {folder!r}.")
