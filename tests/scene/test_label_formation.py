@@ -60,6 +60,7 @@ def test_labels_are_learnt_kept_and_judged(tmp_path: Path, how: dict[str, Any]) 
     again = restored.render(frame.views, sh_degree=1).images["labels"]
     trained = model.render(frame.views, sh_degree=1).images["labels"]
     torch.testing.assert_close(again, trained)
+    assert model.formations["labels"].behind(model.background).shape == (3,)
     assert set(numbers_of(*(again * 255).round().long().unbind(-1)).unique().tolist()) <= {0, 1, 2}
 
 

@@ -41,6 +41,7 @@ def test_stacks_are_learnt_and_kept(tmp_path: Path, source: str, score: str, mod
     np.testing.assert_array_equal(basis, BASIS)
     again, trained = (one.render(frame.views, sh_degree=1).images["stack"] for one in (restored, scene))
     torch.testing.assert_close(again, trained)
+    assert scene.formations["stack"].behind(scene.background).shape == (LATENT + 1,)
 
 
 def test_features_are_asked_by_a_vector() -> None:
