@@ -227,7 +227,7 @@ class Formation(nn.Module):
         nothing = torch.zeros(1, 1, self.common.model.feature_dim, device=background.device)
         colors = background if self.spectrum.is_photograph else torch.zeros_like(background)
         features = nothing if self.takes_features else None
-        blended = Blended(None, nothing[..., :1], features, colors.expand(1, 1, 3), background=background)
+        blended = Blended(None, colors.new_zeros(1, 1, 1), features, colors.expand(1, 1, 3), background=background)
         return self.render(self.through_optics(blended), self.decoded(features))[0, 0]
 
     def layer(self, layer: str, rendered: RenderedFrame) -> Tensor:
