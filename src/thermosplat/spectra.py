@@ -128,7 +128,7 @@ class SpectrumConfig:
         object.__setattr__(self, "unit", unit_named(self.unit))
 
 
-STRUCTURE = ("channels", "classes", "opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
+STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise", "classes", "channels")
 """Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
 
 

@@ -236,6 +236,11 @@ class PixelScale:
         return self.kind in ("color", "scalar")
 
     @property
+    def is_taken(self) -> bool:
+        """Whether a camera took the images: labels and stacks are made of others, and may look like anything."""
+        return self.kind not in ("labels", "stack")
+
+    @property
     def measured_unit(self) -> str | None:
         """The unit in which images can be measured; None where they cannot."""
         return None if self.range is None else self.unit
