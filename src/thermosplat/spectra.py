@@ -11,11 +11,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-Source = Literal["photograph", "auto", "color", "raw"]
+Source = Literal["photograph", "auto", "color", "raw", "labels", "features", "bands"]
 Opacity = Literal["shared", "offset", "own"]
 Exposure = Literal["fixed", "level", "affine"]
-ColorSpace = Literal["photograph", "color", "scalar"]
+ColorSpace = Literal["photograph", "color", "scalar", "labels", "stack"]
 
+STACKS = ("features", "bands")
+"""Sources whose files have any number of channels."""
+LATENT = 16
+"""Channels of the basis in which stacks are learnt. Open choice: Efficient Feature 3DGS and HyperGS have 16 to 64."""
 CELSIUS = "celsius"
 """The unit in which temperatures are kept and reported."""
 TEMPERATURE_UNITS = (
@@ -52,7 +56,18 @@ class SpectrumConfig:
     more than 8 bits beside displayable images lie in <the usual name>_raw."""
     source: Source = "raw"
     """What its images are. "photograph": colours. "color": pseudo-colours, whose palette gives a scalar. "raw": one
-    value per pixel. "auto": pseudo-colours where the capture has them, else values."""
+    value per pixel. "auto": pseudo-colours where the capture has them, else values. "labels": 8-bit grey, the number of
+    a class (``classes``); 255 is no class. "features" and "bands": stacks of ``channels``, of which directions count
+    (feature maps of CLIP or DINO), or values (hyperspectral)."""
+    classes: tuple[str, ...] = ()
+    """Names of the classes 0, 1, ... of label images."""
+    channels: int = 0
+    """Channels of the files of features and bands; 0 of other images."""
+    basis: str | None = None
+    """File (.npy, [n, channels], n at most 16) with orthonormal rows in which features and bands are learnt. None: the
+    principal components of all files."""
+    derived: tuple[str, ...] = ()
+    """Layers of bands b1, b2, ... that the viewer shows, such as "ndvi = (b4 - b3) / (b4 + b3)"."""
     unit: str = COUNTS
     """Unit of its values. kelvin, celsius, their tenths, hundredths and (of kelvin) thousandths such as centikelvin,
     fahrenheit: temperatures, reported in °C, in any usual spelling. "auto": the capture's own statement (units.json),
@@ -113,7 +128,7 @@ class SpectrumConfig:
         object.__setattr__(self, "unit", unit_named(self.unit))
 
 
-STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise")
+STRUCTURE = ("opacity", "modulated_by", "start", "exposure", "point_spread", "by_noise", "classes", "channels")
 """Fields of ``SpectrumConfig`` that decide which parameters there are: a run goes on with what it began with."""
 
 
@@ -155,9 +170,11 @@ class Spectrum:
     name: str
     """Its name in files and flags."""
     channels: int
-    """Channels of its images: 3 for photographs and pseudo-colours, 1 for values."""
+    """Channels of its images: 3 for photographs, pseudo-colours and labels, 1 for values, of stacks those of the basis
+    and one for what is left."""
     color_space: ColorSpace
-    """What they are: "photograph", "color" (pseudo-colours) or "scalar"."""
+    """What they are: "photograph", "color" (pseudo-colours), "scalar", "labels" (in the colours of classes) or "stack"
+    (of channels, in a basis)."""
     opacity: Opacity
     """Which opacity the Gaussians have in it; "shared" for the first spectrum of a set."""
     latent: tuple[int, int]
@@ -181,6 +198,8 @@ def folder_names(name: str, spectrum: SpectrumConfig) -> tuple[str, ...]:
 def latent_channels(spectra: Mapping[str, SpectrumConfig]) -> dict[str, tuple[int, int]]:
     """The latent channels that losses supervise with each spectrum: three per photograph, one per scalar, in order.
 
+    No channel stands for labels and stacks.
+
     Args:
         spectra: The modelled spectra by name.
 
@@ -189,7 +208,8 @@ def latent_channels(spectra: Mapping[str, SpectrumConfig]) -> dict[str, tuple[in
     """
     found, first = {}, 0
     for name, spectrum in spectra.items():
-        count = 0 if spectrum.features is None else 3 if spectrum.source == "photograph" else 1
+        counts = {"photograph": 3, "labels": 0, **dict.fromkeys(STACKS, 0)}
+        count = 0 if spectrum.features is None else counts.get(spectrum.source, 1)
         found[name] = first, first + count
         first += count
     return found
@@ -208,7 +228,7 @@ def model_spectra(
     return tuple(
         Spectrum(
             name=name,
-            channels=1 if color_spaces[name] == "scalar" else 3,
+            channels={"scalar": 1, "stack": LATENT + 1}.get(color_spaces[name], 3),
             color_space=color_spaces[name],
             opacity="shared" if place == 0 else spectrum.opacity,
             latent=latent[name],

@@ -74,7 +74,11 @@ def changed(key: str, value: Any, config: TrainConfig | None = None) -> TrainCon
         ("densification.prune_opacity", 0.5, "--densification.prune-opacity must lie between 0 and 0.5"),
         ("densification.growth", -0.1, "--densification.growth must be at least 0"),
         ("decoder.fourier_frequency", -3.0, "--decoder.fourier-frequency must be at least 0"),
-        ("densification.strategy", "decomposing", "needs a shared set whose second spectrum has an opacity of its own"),
+        (
+            "densification.strategy",
+            "decomposing",
+            "needs a shared set of at least two, each with an opacity of its",
+        ),
         ("spectra.thermal.train_from", 1.5, "--thermal.train-from must lie between 0 and 1"),
         ("loss.balance", True, "--loss.balance is about separate sets of Gaussians, one per spectrum"),
         (
@@ -149,10 +153,11 @@ def test_balance_of_one_set() -> None:
         check_config(replace(config, without=("thermal",)))
 
 
-def test_decomposition_is_of_two_spectra() -> None:
-    """A third one that shares the set has no place in it; one that is left out does not disturb."""
-    config = with_spectra(load_config("mmone"), nir={"opacity": "own"})
-    with pytest.raises(UserError, match="decomposing divides Gaussians between two spectra"):
+def test_decomposition_is_of_spectra_with_opacities_of_their_own() -> None:
+    """A third one may have one, too; without it has no place among them, and does not disturb where it is left out."""
+    check_config(with_spectra(load_config("mmone"), nir={"opacity": "own"}))
+    config = with_spectra(load_config("mmone"), nir={"opacity": "shared"})
+    with pytest.raises(UserError, match="decomposing divides Gaussians between spectra"):
         check_config(config)
     check_config(replace(config, without=("nir",)))
 

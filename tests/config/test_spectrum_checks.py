@@ -47,6 +47,42 @@ def test_names_that_they_can_have(name: str) -> None:
     check_config(with_spectra(TrainConfig(), **{name: {}}))
 
 
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        ({"source": "labels"}, "between 2 and 255 different names where source is labels, found 0: none"),
+        ({"source": "labels", "classes": ("a",)}, "between 2 and 255 .*, found 1: a"),
+        ({"source": "labels", "classes": ("a", "b", "a")}, "between 2 and 255 .*, found 3: a, b, a"),
+        ({"source": "labels", "classes": ("a", " ")}, "between 2 and 255 .*, found 2: a,  "),
+        ({"source": "labels", "classes": tuple(map(str, range(256)))}, "between 2 and 255 .*, found 256: 0, 1"),
+        ({"classes": ("a", "b")}, "none where source is raw, found 2: a, b"),
+    ],
+)
+def test_labels_have_names_for_their_classes(settings: dict[str, Any], found: str) -> None:
+    """As many as an 8-bit image can tell apart, each once; nothing else has classes."""
+    error = refused(with_spectra(TrainConfig(), parts=settings))
+    assert re.match(f"--parts.classes must be {found}", error.message)
+    assert "classes: [background, window, door]" in error.hint
+
+
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        ({"source": "bands"}, "--parts.channels must be 1 to 4,096 where source is bands, found 0"),
+        ({"source": "features", "channels": 4097}, "--parts.channels must be at most 4,096, found 4,097"),
+        ({"channels": 3}, "--parts.channels must be 0 where source is raw, found 3"),
+        ({"source": "features", "channels": 3, "derived": ("x = b1",)}, "--parts.derived are layers of bands"),
+        ({"source": "bands", "channels": 3, "derived": ("x = b4",)}, "--parts.derived: 'x = b4' has 'b4'"),
+        ({"source": "bands", "channels": 3, "derived": ("x = b1", "x = b2")}, "--parts.derived gives two layers one"),
+        ({"source": "bands", "channels": 3, "smoothness": 0.1}, "--parts.smoothness is of images that a camera took"),
+        ({"source": "labels", "classes": ("a", "b"), "exposure": "affine"}, "--parts.exposure is of images"),
+    ],
+)
+def test_stacks_have_channels(settings: dict[str, Any], found: str) -> None:
+    """Nothing else has; formulas are of bands that exist; settings of cameras are refused."""
+    assert refused(with_spectra(TrainConfig(), parts=settings)).message.startswith(found)
+
+
 def test_a_spectrum_that_is_left_out_exists() -> None:
     """A typo gets a suggestion and the names that there are."""
     error = refused(replace(TrainConfig(), without=("termal",)))

@@ -12,12 +12,14 @@ from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.files import data_from_anywhere
 from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.printing import SafeConsole
-from thermosplat.spectra import label, measured_error
+from thermosplat.spectra import label, measured_error, unit_label
 
 if TYPE_CHECKING:
     from thermosplat.evaluation.labelled_regions import Regions
     from thermosplat.evaluation.loaded_run import LoadedRun
 
+_COLUMNS = {"psnr": ".2f", "ssim": ".4f", "lpips": ".4f"}
+"""Metrics of every spectrum, and their form."""
 _DEPTH_COLUMNS = (("depth", "depth_error", ".3f"), ("of it", "depth_error_relative", ".1%"))
 _ON_OWN_COLUMN = ("on own", "on_own_surface", ".0%")
 """Heading, measure and form."""
@@ -114,10 +116,27 @@ def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any], recalculated: s
     headings = ("MAE", "bias") if any(map(any, measured.values())) else ()
     table = Table("held out", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
     for name, numbers in of_spectra.items():
-        columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"))
         errors = [error or "-" for error in measured[name][: len(headings)]]
-        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns), *errors)
-    SafeConsole(highlight=False, soft_wrap=True).print(table)
+        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in _COLUMNS.items()), *errors)
+    console = SafeConsole(highlight=False, soft_wrap=True)
+    console.print(table)
+    for name, numbers in of_spectra.items():
+        others = {key: value for key, value in numbers.items() if key not in _COLUMNS and measured_error(key) is None}
+        if others:
+            print(f"{label(name)}:", ", ".join(f"{key} {_cell(value, '.3f')}" for key, value in others.items()))
+    for classes in metrics.get("classes", {}).values():
+        for name, spectra in classes.items():
+            for spectrum, found in spectra.items():
+                print(_of_class(name, spectrum, found))
+
+
+def _of_class(name: str, spectrum: str, found: Mapping[str, Any]) -> str:
+    """What a spectrum measures of a class, in a line."""
+    unit = unit_label(found["unit"])
+    return (
+        f"{name}, {label(spectrum)}: mean {found['mean']:.2f} {unit}, deviation {found['deviation']:.2f}, "
+        f"{found['lowest']:.2f} to {found['highest']:.2f} ({found['pixels']:,} pixels)"
+    )
 
 
 def _in_its_unit(numbers: Mapping[str, Any]) -> tuple[str, str]:

@@ -36,6 +36,8 @@ class ViewArguments(TemperatureSettings):
     """Folder of the capture, if it has moved since the training."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    query: str | None = None
+    """File (.npy) with a vector that features are compared with: a layer of the viewer shows where they are alike."""
     out: str | None = None
     """Folder for measurements, pictures, videos and bookmarks. None: RUN/measurements."""
     host: str = "127.0.0.1"
@@ -81,6 +83,7 @@ def _view(arguments: ViewArguments, unfinished: list[str]) -> int:
             device=arguments.device,
             settings=arguments.checked(),
             scale_of=known_scale,
+            query=arguments.query,
         )
     for note in notes:
         print(note)

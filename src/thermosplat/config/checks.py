@@ -267,10 +267,11 @@ def _check_decomposition(config: TrainConfig, name: Any) -> None:
     if densification.strategy != "decomposing":
         return
     modelled = list(config.modelled.values())
-    if not (model.gaussian_sets == "shared" and len(modelled) == 2 and modelled[1].opacity == "own"):
+    others = modelled[1:]
+    if not (model.gaussian_sets == "shared" and others and all(other.opacity == "own" for other in others)):
         raise UserError(
-            f"{name('densification.strategy')} decomposing divides Gaussians between two spectra, which needs a shared "
-            "set whose second spectrum has an opacity of its own.",
+            f"{name('densification.strategy')} decomposing divides Gaussians between spectra, which needs a shared set "
+            "of at least two, each with an opacity of its own.",
             "Start from --config mmone, or take another strategy.",
         )
     if densification.absgrad:

@@ -136,7 +136,7 @@ class DensificationConfig:
     spectrum sees fainter than ``prune_opacity`` move onto others, their number grows by ``growth`` up to
     ``max_gaussians``, and noise moves faint ones. It needs no thresholds and no resets; its opacities are held down by
     ``loss.opacity_reg``. "decomposing": as default, and Gaussians that two spectra pull apart become one of each
-    (MMOne)."""
+    spectrum (MMOne)."""
     growth: float = 0.05
     """MCMC: share of the Gaussians that a refinement adds. 3DGS-MCMC."""
     position_noise: float = 5e5

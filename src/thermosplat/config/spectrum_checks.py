@@ -5,17 +5,19 @@ import difflib
 import re
 from collections.abc import Callable, Mapping
 
+from thermosplat.class_colors import MOST_CLASSES
 from thermosplat.config import TrainConfig
-from thermosplat.config.values import nearest
+from thermosplat.config.band_formulas import parsed
+from thermosplat.config.values import nearest, shortened
 from thermosplat.errors import UserError
-from thermosplat.spectra import COUNTS, TEMPERATURE_UNITS, SpectrumConfig, folder_names, label
+from thermosplat.spectra import COUNTS, STACKS, TEMPERATURE_UNITS, SpectrumConfig, folder_names, label
 
 RESERVED = frozenset(
     {
         *("all", "both", "data", "decoders", "evaluation", "exposures", "features", "frame", "gaussians", "loss"),
         *("pixels", "points", "scene", "shared", "spectra", "step", "steps", "train", "test", "visible"),
         *("num_gaussians", "train_seconds", "wall_seconds", "first_step_seconds", "lpips_net", "model_bytes"),
-        *("feature_channels", "opacity_offsets_kept", "training_views", "remarks", "formations"),
+        *("feature_channels", "opacity_offsets_kept", "training_views", "remarks", "formations", "classes"),
         # what torch's ModuleDict and ParameterDict, which hold networks by spectrum, call their own
         *("add_module", "apply", "bfloat16", "buffers", "call_super_init", "children", "clear", "compile", "copy"),
         *("cpu", "cuda", "double", "dump_patches", "eval", "extra_repr", "float", "forward", "fromkeys", "get"),
@@ -31,11 +33,17 @@ RESERVED = frozenset(
     }
 )
 """Names that files, tables and modules use for something else."""
+_OF_IMAGES = {"smoothness": 0.0, "squared": 0.0, "swept_depth": 0.0, "point_spread": 0.0, "by_noise": False} | {
+    "exposure": "fixed"
+}
+"""Settings that labels, features and bands do not have, and what they are then."""
 _SHARES = ("train_from", "train_until")
 _TEMPERATURE = re.compile("kelvin|celsius|centigrad|fahren|rankine|temperatur")
 """In a unit's name it says that values are temperatures."""
 _LIKE_A_UNIT = 0.75
 """Likeness (difflib's ratio) from which on a word is a mistyped unit: "celcius", not "reflectance" or "percent"."""
+MOST_CHANNELS = 4096
+"""Channels of a stack: their products with each other, which the basis is found of, take 128 MiB."""
 MOST_POINT_SPREAD = 0.1
 """Standard deviation of the widest blur that a camera may have [of an image's width]: nothing could be seen beyond it,
 and a pixel would take longer than all others."""
@@ -104,6 +112,16 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
     if not re.fullmatch("[A-Za-z0-9_/^-]+", settings.unit):
         raise UserError(f"{called('unit')} must be one word, found {settings.unit!r}.", "For example: reflectance")
     _check_unit(settings.unit, called("unit"))
+    _check_classes(settings, called("classes"))
+    _check_stack(settings, called)
+    if settings.source in ("labels", *STACKS):
+        for field, usual in _OF_IMAGES.items():
+            if getattr(settings, field) != usual:
+                raise UserError(
+                    f"{called(field)} is of images that a camera took, and {label(spectrum)} ({settings.source}) "
+                    "was made of them.",
+                    "Leave it out.",
+                )
     for folder in settings.folders:
         if folder in ("", ".", "..") or "/" in folder or "\\" in folder:
             raise UserError(f"{called('folders')} must be names of folders inside the capture, found {folder!r}.")
@@ -115,6 +133,36 @@ def _check_values(spectrum: str, settings: SpectrumConfig, config: TrainConfig, 
                 f"{called(field)} must be another spectrum, found {value!r}{nearest(value, known)}.",
                 f"There are: {', '.join(known) or 'no others'}.",
             )
+
+
+def _check_classes(settings: SpectrumConfig, called: str) -> None:
+    """Labels have names for their classes, and nothing else has."""
+    names = settings.classes
+    expected = f"between 2 and {MOST_CLASSES} different names" if settings.source == "labels" else "none"
+    right = 2 <= len(names) <= MOST_CLASSES and all(map(str.strip, names)) if settings.source == "labels" else not names
+    if not right or len(set(names)) < len(names):
+        raise UserError(
+            f"{called} must be {expected} where source is {settings.source}, found {len(names)}: "
+            f"{shortened(', '.join(names)) or 'none'}.",
+            "In a YAML file: labels: {source: labels, classes: [background, window, door]}",
+        )
+
+
+def _check_stack(settings: SpectrumConfig, called: Name) -> None:
+    """Stacks have channels, and nothing else has; formulas are of bands."""
+    if (settings.source in STACKS) != (settings.channels > 0):
+        expected = f"1 to {MOST_CHANNELS:,}" if settings.source in STACKS else "0"
+        raise UserError(
+            f"{called('channels')} must be {expected} where source is {settings.source}, found {settings.channels}.",
+            "In a YAML file: nir: {source: bands, channels: 31}",
+        )
+    if settings.channels > MOST_CHANNELS:
+        raise UserError(f"{called('channels')} must be at most {MOST_CHANNELS:,}, found {settings.channels:,}.")
+    if settings.derived and settings.source != "bands":
+        raise UserError(f"{called('derived')} are layers of bands, and source is {settings.source}.")
+    names = [parsed(text, settings.channels, called("derived")).name for text in settings.derived]
+    if len(set(names)) < len(names):
+        raise UserError(f"{called('derived')} gives two layers one name: {', '.join(names)}.")
 
 
 def _check_unit(unit: str, called: str) -> None:

@@ -41,7 +41,7 @@ from thermosplat.datasets.shutter_file import readouts
 from thermosplat.datasets.splits import divide, hold_out_mask
 from thermosplat.datasets.stored_pixels import ImagesOnDisk, seen_by
 from thermosplat.errors import UserError
-from thermosplat.spectra import CELSIUS, SpectrumConfig, label
+from thermosplat.spectra import CELSIUS, STACKS, SpectrumConfig, label
 
 LEAST_SIDE = 6
 """Least width and height of an image [px]: SSIM's window of 11 px is reflected by 5 at the borders (ssim.py)."""
@@ -91,6 +91,7 @@ def assemble(
     if taken <= memory:
         on_disk, read = None, _read_all(root, frames, listing, spectra)
     else:
+        _check_no_stacks(spectra, memory)
         on_disk = ImagesOnDisk(memory, PixelCache())
         read = _read_some(root, frames, listing, spectra, headers, on_disk.cache)
     views = []
@@ -223,6 +224,18 @@ def _on_disk_note(frames: Sequence[FrameFiles], taken: int, memory: float) -> st
         f"The {count:,} images take {taken / GIGABYTE:,.3g} GB of memory, more than --image-memory allows "
         f"({memory / GIGABYTE:.3g} GB): they stay on the disk and are read when they are needed."
     )
+
+
+def _check_no_stacks(spectra: Mapping[str, SpectrumConfig], memory: float) -> None:
+    """Stacks have to be read at once: their basis is that of all."""
+    for name, spectrum in spectra.items():
+        if spectrum.source in STACKS:
+            raise UserError(
+                f"The images take more memory than {memory / GIGABYTE:.3g} GB, and {label(name)} ({spectrum.source}) "
+                "cannot stay on the disk.",
+                "Allow more (--image-memory), train on smaller images (--data-factor 2), or without "
+                f"them: --without {name}.",
+            )
 
 
 def _point_notes(usable: NDArray[np.bool_]) -> list[str]:

@@ -193,7 +193,7 @@ def view_tensors(
     image = torch.tensor(stored, device=device)
     if not as_bytes:
         image = unit_image(image)
-    is_scalar = scale is not None and scale.kind != "photograph"
+    is_scalar = scale is not None and scale.has_intensity
     return replace(
         without_pixels(view, device),
         image=image,
@@ -230,7 +230,7 @@ def with_pixels(
         scale: What the pixels mean.
         mask: bool [H, W], where pixels are compared; None: everywhere.
     """
-    if intensity is None and scale.kind != "photograph":
+    if intensity is None and scale.has_intensity:
         intensity = pixel_intensity(unit_image(image), scale)
     return replace(camera, image=image, intensity=intensity, mask=mask)
 

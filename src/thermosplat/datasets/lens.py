@@ -103,11 +103,12 @@ class Rectification:
     camera: Camera
     maps: NDArray[np.float32] | None
 
-    def apply(self, image: NDArray[Any]) -> NDArray[Any]:
-        """The image as the pinhole camera sees it (bilinear)."""
+    def apply(self, image: NDArray[Any], *, exact: bool = False) -> NDArray[Any]:
+        """The image as the pinhole camera sees it: bilinear, or by the nearest pixel where there is no mean of two."""
         if self.maps is None:
             return image
-        return cv2.remap(image, self.maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        how = cv2.INTER_NEAREST if exact else cv2.INTER_LINEAR
+        return cv2.remap(image, self.maps, None, how, borderMode=cv2.BORDER_REPLICATE)
 
 
 @functools.lru_cache(maxsize=64)

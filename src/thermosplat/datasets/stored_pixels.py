@@ -26,6 +26,8 @@ from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.errors import UserError
 from thermosplat.spectra import Source
 
+_CHANNELS_AT_ONCE = 4
+"""OpenCV resamples no more."""
 _INVERTING_PIXELS = 1 << 18
 """The inverse of a palette takes 40 bytes for each of so many pixels at most: a table, and some pixels at a time."""
 
@@ -69,15 +71,20 @@ def seen_by(camera: Camera, lens: Lens | None, pixels: SpectrumPixels) -> Spectr
     height, width, channels = pixels.image.shape
     ideal = None if lens is None else rectification(lens, width, height)
 
-    def seen(array: NDArray[Any]) -> NDArray[Any]:
-        return resize(array if ideal is None else ideal.apply(array), camera.width, camera.height)
+    def seen(array: NDArray[Any], *, exact: bool = False) -> NDArray[Any]:
+        if array.ndim == 3 and array.shape[2] > _CHANNELS_AT_ONCE:
+            starts = range(0, array.shape[2], _CHANNELS_AT_ONCE)
+            parts = (seen(array[..., start : start + _CHANNELS_AT_ONCE], exact=exact) for start in starts)
+            return np.dstack([*parts])
+        ideally = array if ideal is None else ideal.apply(array, exact=exact)
+        return resize(ideally, camera.width, camera.height, exact=exact)
 
-    image = seen(pixels.image).reshape(camera.height, camera.width, channels)
+    image = seen(pixels.image, exact=pixels.exact).reshape(camera.height, camera.width, channels)
     values = None if pixels.values is None else seen(pixels.values)
     mask = None if pixels.mask is None else whole_pixels(seen(levels_of_mask(pixels.mask)))
     if values is not None and mask is not None:
         values = np.where(mask, values, np.float32(np.nan))
-    return SpectrumPixels(image, values, mask)
+    return SpectrumPixels(image, values, mask, pixels.exact)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +123,8 @@ class StoredPixels:
 
     @property
     def may_be_masked(self) -> bool:
-        """Pixels may be masked: there is a mask, or the file has an alpha channel or the like."""
-        return self.shot.mask is not None or self.header.has_alpha
+        """Pixels may be masked: there is a mask, the file has an alpha channel or the like, or some are of no class."""
+        return self.shot.mask is not None or self.header.has_alpha or self.meaning.kind == "labels"
 
     @property
     def trained_bytes(self) -> int:

@@ -16,6 +16,7 @@ from torch import Tensor
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.datasets.read_ahead import read_ahead
+from thermosplat.evaluation.class_values import ClassValues
 from thermosplat.image_quality.metrics import psnr, right_outside, ssim
 from thermosplat.pictures.comparison_strips import Comparison, comparison_strip
 from thermosplat.pictures.image_display import spectrum_bytes, write_png
@@ -27,7 +28,7 @@ from thermosplat.spectra import BIAS, MAE, label, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.display_range import display_range
-from thermosplat.thermography.scene_temperatures import SceneTemperatures
+from thermosplat.thermography.scene_temperatures import SceneTemperatures, Surroundings
 
 Lpips = Callable[[Tensor, Tensor], float | None]
 
@@ -77,17 +78,27 @@ class RenderedView:
         return pixel_intensity(self.image, self.scale)
 
     @cached_property
+    def measured(self) -> Tensor | None:
+        """Measured values of the render, recalculated where they are, [H, W]; None of a spectrum without a unit."""
+        return None if self.scale.measured_unit is None else self._recalculated(self.scale.value(self.intensity))
+
+    @cached_property
     def missed(self) -> Tensor | None:
         """Measured values of the render minus those of the photograph, both recalculated where they are: float64
         [H, W], NaN where nothing was measured; None of a spectrum without values."""
-        if self.values is None:
+        if self.values is None or self.measured is None:
             return None
-        rendered, expected = self.scale.value(self.intensity), self.values
-        if self.temperatures is not None:
-            around = self.temperatures.surroundings(self.spectrum, self.camera)
-            rendered = self.temperatures.recalculated(self.spectrum, rendered, around).values
-            expected = self.temperatures.recalculated(self.spectrum, expected, around).values
-        return (rendered.double() - expected.double()).where(self.values.isfinite(), torch.nan)
+        expected = self._recalculated(self.values)
+        return (self.measured.double() - expected.double()).where(self.values.isfinite(), torch.nan)
+
+    @cached_property
+    def _around(self) -> Surroundings | None:
+        return None if self.temperatures is None else self.temperatures.surroundings(self.spectrum, self.camera)
+
+    def _recalculated(self, values: Tensor) -> Tensor:
+        if self.temperatures is None:
+            return values
+        return self.temperatures.recalculated(self.spectrum, values, self._around).values
 
 
 def rendered_views(
@@ -150,14 +161,17 @@ def evaluate(
         By spectrum of the model ``{"psnr" [dB], "ssim", "lpips", "mae_<unit>", "bias_<unit>"}`` and
         ``Formation.scores``, each the mean over the views that have it, None where none has; None as a whole for a
         spectrum without held-out views. The mean absolute error and the bias, that of render minus image, are there
-        where its values are measured. "spectra" lists their names; "num_gaussians" counts the Gaussians.
+        where its values are measured. "spectra" lists their names; "num_gaussians" counts the Gaussians. Where a
+        spectrum tells classes and another one measures, "classes" has ``ClassValues.numbers``.
     """
     rows: list[dict[str, Any]] = []
+    by_class = ClassValues()
     ranges = {} if strips_dir is None else {name: display_range(capture, name) for name in model.spectra}
     with background_writes() as write:
         for frame in read_ahead(capture.test):
             results = list(rendered_views(model, frame, capture.scales, sh_degree, device, temperatures))
             numbers = [_numbers(result, lpips) for result in results]
+            by_class.add(results)
             rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]
             if strips_dir is not None and results:
                 comparisons = [
@@ -169,7 +183,8 @@ def evaluate(
     if csv_path is not None:
         _write_csv(csv_path, rows)
     means = {name: _means(rows, name) for name in model.spectra}
-    return {**means, "spectra": list(model.spectra), "num_gaussians": model.num_gaussians}
+    counted = {"spectra": list(model.spectra), "num_gaussians": model.num_gaussians}
+    return {**means, **counted, **({"classes": classes} if (classes := by_class.numbers()) else {})}
 
 
 @torch.no_grad()
@@ -210,7 +225,7 @@ def _numbers(result: RenderedView, lpips: Lpips | None) -> dict[str, float | Non
     numbers: dict[str, float | None] = {
         "psnr": psnr(result.image, result.target, result.mask),
         "ssim": ssim(result.image, result.target, result.mask),
-        "lpips": None if lpips is None else lpips(result.counted, result.target),
+        "lpips": None if lpips is None else lpips(result.counted[..., :3], result.target[..., :3]),
     }
     if result.scale.unit is not None:
         numbers |= {f"{MAE}{result.scale.unit}": None, f"{BIAS}{result.scale.unit}": None}

@@ -106,7 +106,7 @@ class LoadedRun:
                 "Say where it lies now: --data FOLDER.",
             )
         config = self.config
-        with _palettes_at_hand(config.spectra, self.scales) as spectra:
+        with _files_at_hand(config.spectra, self.scales, self.model) as spectra:
             capture = capture_of(replace(config, data=str(data or config.data), spectra=spectra))
         capture = capture.placed(self.model.placement)
         difference = other_frames(self.train_frames, capture)
@@ -274,10 +274,10 @@ def _loaded(directory: RunDirectory, file: Path, chosen: torch.device) -> Loaded
 
 
 @contextmanager
-def _palettes_at_hand(
-    spectra: Mapping[str, SpectrumConfig], scales: Mapping[str, PixelScale]
+def _files_at_hand(
+    spectra: Mapping[str, SpectrumConfig], scales: Mapping[str, PixelScale], model: SceneModel
 ) -> Iterator[dict[str, SpectrumConfig]]:
-    """Spectra with the palettes that a run stored in place of its palette files, which may be on another machine."""
+    """Spectra with palettes and bases that a run stored in place of its files, which may be on another machine."""
     with TemporaryDirectory() as folder:
         found = dict(spectra)
         for name, spectrum in spectra.items():
@@ -286,6 +286,10 @@ def _palettes_at_hand(
                 levels = scales[name].palette.colors.astype(np.float64) * 255  # as many digits as come back equal
                 path.write_text(json.dumps({"lut": levels.tolist()}), encoding="utf-8")
                 found[name] = replace(spectrum, palette=str(path))
+            if name in model.spectra and (basis := model.formations[name].basis_of_images()) is not None:
+                path = Path(folder) / f"{name}.npy"
+                np.save(path, basis.numpy(force=True))
+                found[name] = replace(spectrum, basis=str(path), range=scales[name].range)
         yield found
 
 

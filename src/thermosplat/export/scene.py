@@ -145,8 +145,8 @@ def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -
         scale: What they mean.
         colors: Palette or scalar; photographs are as they are.
     """
-    if scale.kind == "photograph" or (scale.kind == "color" and colors == "palette"):
-        return image
+    if not scale.has_intensity or (scale.kind == "color" and colors == "palette"):
+        return image[..., :3]
     intensity = pixel_intensity(image, scale)
     if colors == "scalar":
         return intensity[..., None].expand(*intensity.shape, 3).to(image)
@@ -180,7 +180,7 @@ def header_comments(
     exact = model.formations[name].exact_splats
     if not exact:
         comments.append("colors approximate the model, which decodes features per pixel, after blending")
-    if scale.kind != "photograph":
+    if scale.has_intensity:
         if colors == "palette" and (scale.kind == "color" or not exact):
             stops = np.rint(255 * scale.palette.to_color(np.linspace(0.0, 1.0, 9))).astype(int)
             listed = " ".join(f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in stops)

@@ -165,7 +165,7 @@ def rendered_images(
         if not names:
             continue
         for name in names:
-            if measured is not None and scales[name].kind != "photograph" and scales[name].measured_unit is not None:
+            if measured is not None and scales[name].has_intensity and scales[name].measured_unit is not None:
                 image, view = rendered.images[name], point.views[name]
                 covered = model.render(dict.fromkeys(model.spectra, view), sh_degree=sh_degree).covered()
                 measured(index, name, _values(name, image, covered, view, scales[name], temperatures))

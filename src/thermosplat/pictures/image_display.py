@@ -37,7 +37,7 @@ def spectrum_bytes(image: NDArray[np.floating], scale: PixelScale, shown: tuple[
         shown: Values at the palette's ends, of an image of values; None: those that 0 and 1 stand for.
     """
     if scale.channels == 3:
-        return rgb_bytes(image)
+        return rgb_bytes(image[..., :3])
     shares = np.clip(image[..., 0], 0.0, 1.0)
     if shown is not None and scale.range is not None and shown != scale.range:
         shares = (scale.value(shares) - shown[0]) / max(shown[1] - shown[0], _NO_SPAN)

@@ -267,6 +267,8 @@ class SceneModel(nn.Module):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             formations = Formations(config.model, config.decoder, spectra)
+        for name in config.modelled:
+            formations[name].begin(capture.scales[name])
         model = cls(
             config.model,
             formations,

@@ -21,10 +21,10 @@ def pixel_intensity(image: Tensor, scale: PixelScale) -> Tensor:
         Intensity in [0, 1], on the image's device, shape [H, W]. For pseudo-colours: of the palette's nearest colour.
 
     Raises:
-        ValueError: The image is a photograph.
+        ValueError: The image has colours alone, as photographs have.
     """
-    if scale.kind == "photograph":
-        raise ValueError("A photograph has colours, not an intensity.")
+    if not scale.has_intensity:
+        raise ValueError(f"An image of the kind {scale.kind} has colours, not an intensity.")
     pixels = image.detach().clamp(0, 1)
     if scale.kind == "scalar":
         return pixels[..., 0]

@@ -6,7 +6,7 @@ of the palette's curve in RGB space, so that noise and JPEG artefacts next to th
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -211,21 +211,34 @@ class PixelScale:
     """What the pixel values of a capture's images of one spectrum mean.
 
     Args:
-        kind: "photograph" for colours, "color" for pseudo-colours, "scalar" for one value per pixel.
+        kind: "photograph" for colours, "color" for pseudo-colours, "scalar" for one value per pixel, "labels" for
+            colours of classes, "stack" for channels in a basis.
         palette: The data's palette ("color"), or the one to show a scalar with.
         range: Values [unit] that intensity 0 and 1 stand for; None where the data has no unit.
         unit: The values' unit, "celsius" for temperatures; None where the data has none.
+        basis: float32 [n, channels], orthonormal rows, of a stack that was read; its scene keeps it.
     """
 
     kind: ColorSpace
     palette: Palette = GREY
     range: tuple[float, float] | None = None
     unit: str | None = None
+    basis: NDArray[np.float32] | None = field(default=None, compare=False)
 
     @property
     def channels(self) -> int:
-        """Channels of an image: 3 for photographs and pseudo-colours, 1 for values."""
+        """Channels of an image as it is shown: 1 for values, else 3, of a stack the first ones."""
         return 1 if self.kind == "scalar" else 3
+
+    @property
+    def has_intensity(self) -> bool:
+        """Whether a pixel stands for one number: of values, and of pseudo-colours."""
+        return self.kind in ("color", "scalar")
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether a camera took the images: labels and stacks are made of others, and may look like anything."""
+        return self.kind not in ("labels", "stack")
 
     @property
     def measured_unit(self) -> str | None:

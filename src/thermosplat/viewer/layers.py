@@ -178,7 +178,8 @@ class LayerRenderer:
         formation = self.scene.model.formations[name]
         if layer.kind in formation.layers:
             field = formation.layer(layer.kind, rendered).cpu().numpy()
-            return LayerImage(layer, field, None, display_palette("white hot"), (0.0, 1.0), "", layer.kind, 3)
+            span = formation.layer_range(layer.kind)
+            return LayerImage(layer, field, None, display_palette("white hot"), span, "", layer.kind, 3)
         photograph = self.photographs.nearest(name, view)
         if layer.kind == "photograph":
             taken, valid = torch.nan_to_num(photograph.image), photograph.valid
@@ -279,9 +280,10 @@ def image_layer(
     quantity = "intensity" if measured is None else "temperature" if unit == "°C" else measured
     decimals = 2 if unit == "°C" else 3
     recalculates = temperatures is not None and temperatures.scene.recalculates(layer.spectrum)
-    if scale.kind == "photograph" or (scale.kind == "color" and not values and not recalculates):
-        colors = _bytes(image if valid is None else torch.where(valid[..., None], image, 0.0))
-        if scale.kind == "photograph":
+    if not scale.has_intensity or (scale.kind == "color" and not values and not recalculates):
+        shown_image = image[..., :3]
+        colors = _bytes(shown_image if valid is None else torch.where(valid[..., None], shown_image, 0.0))
+        if not scale.has_intensity:
             return LayerImage(layer, None, colors, scale.palette, None)
         return LayerImage(layer, None, colors, scale.palette, span, unit, quantity, decimals)
     intensity = pixel_intensity(image, scale)  # evaluation.held_out.RenderedView.intensity, whose errors are the MAE

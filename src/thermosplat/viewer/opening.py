@@ -1,12 +1,17 @@
 """From what a user names to a scene: a run, a checkpoint or a PLY file."""
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
+
+import numpy as np
+import torch
 
 from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run, load_run_of_checkpoint
+from thermosplat.regular_files import read_regular
 from thermosplat.runs.devices import choose_device
 from thermosplat.spectra import CELSIUS
 from thermosplat.thermography.measurements_file import FOLDER
@@ -25,6 +30,7 @@ def open_scene(
     device: str = "auto",
     settings: TemperatureSettings | None = None,
     scale_of: Callable[[Capture | None], float | None] = lambda capture: None,
+    query: str | None = None,
 ) -> tuple[ViewedScene, Path, list[str]]:
     """What a user wants to look at.
 
@@ -35,6 +41,7 @@ def open_scene(
         device: As ``--device``.
         settings: What temperatures are recalculated with at first.
         scale_of: Length of a world unit of a capture [m], where it is known.
+        query: File (.npy) with a vector that features are compared with.
 
     Returns:
         The scene; the folder for measurements; lines to tell the user.
@@ -45,8 +52,9 @@ def open_scene(
     path = Path(named).expanduser()
     settings = settings or TemperatureSettings()
     if path.suffix.lower() == ".ply":
-        if settings.any_given:
-            raise UserError(f"{path} has colours alone, so no temperature can be recalculated.", "Give the run.")
+        if settings.any_given or query is not None:
+            what = "no features that --query could be compared with" if query else "no temperature to be recalculated"
+            raise UserError(f"{path} has colours alone, {what}.", "Give the run.")
         splats, notes = open_splats(path, choose_device(device))
         return splats, path.parent / f"{path.stem}_{FOLDER}", notes
     if path.suffix.lower() in OTHER_FORMATS:
@@ -65,10 +73,22 @@ def open_scene(
     if settings.any_given or any(scale.measured_unit == CELSIUS for scale in scales.values()):
         temperatures = run.temperatures(settings, capture=capture, metres_per_unit=scale_of(capture))
         more += temperatures.notes
+    if query is not None:
+        _ask(run, Path(query).expanduser())
     title = f"{name}, step {run.step:,}"
     sure = {} if capture is None else run.certainties(capture)
     scene = ViewedScene(title, run.model, run.sh_degree, scales, run.device, capture, temperatures, sure)
     return scene, run.directory.path / FOLDER, [*run.notes, *more]
+
+
+def _ask(run: LoadedRun, path: Path) -> None:
+    """Compare the features of a run with the vector of a file."""
+    try:
+        query = torch.from_numpy(np.load(BytesIO(read_regular(path)), allow_pickle=False).astype(np.float32).squeeze())
+    except (OSError, ValueError, EOFError, TypeError) as error:
+        raise UserError(f"The query {path} cannot be read.", "Expected is a vector in a .npy file.") from error
+    if not any([run.model.formations[name].ask(query) for name in run.model.spectra]):
+        raise UserError(f"{run.directory.path} has no features that --query could be compared with.")
 
 
 def _photographs(run: LoadedRun, data: str | None) -> tuple[Capture | None, list[str]]:

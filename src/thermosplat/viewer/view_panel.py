@@ -53,8 +53,8 @@ class ViewPanel:
         return wish.second
 
     def _has_values(self, layer: Layer) -> bool:
-        is_photograph = self.visitor.scene.scales[layer.spectrum].kind == "photograph"
-        return layer.kind != "features" and not (layer.kind in ("image", "photograph") and is_photograph)
+        has_palette = self.visitor.scene.scales[layer.spectrum].has_intensity
+        return layer.kind != "features" and (layer.kind not in ("image", "photograph") or has_palette)
 
     def show_share(self, share: float) -> None:
         """Show a share that was set elsewhere."""

@@ -48,7 +48,7 @@ def list_colmap_rig(root: Path, model: ColmapModel, spectra: Mapping[str, Spectr
     }
     masks = masks_by_spectrum(root, spectra)
     others = {
-        name: files_in(spectrum_folder(root, name, spectrum), folders=skipped) or values[name]
+        name: files_in(spectrum_folder(root, name, spectrum), spectrum.source, folders=skipped) or values[name]
         for name, spectrum in spectra.items()
         if not named[name]
     }

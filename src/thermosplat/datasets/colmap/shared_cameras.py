@@ -77,7 +77,8 @@ def files_of_spectra(
     """Displayable images, and values of more bits beside them, by spectrum; the values where there is nothing else."""
     files, values, folders = {}, {}, folders_of(spectra)
     for place, (name, spectrum) in enumerate(spectra.items()):
-        files[name] = files_in(folder if place == 0 else spectrum_folder(root, name, spectrum), folders=folders)
+        own = folder if place == 0 else spectrum_folder(root, name, spectrum)
+        files[name] = files_in(own, spectrum.source, folders=folders)
         values[name] = files_in(values_folder(root, name, spectrum), folders=folders)
         if place > 0 and not files[name]:
             files[name] = values[name]

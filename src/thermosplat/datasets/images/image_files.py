@@ -142,9 +142,18 @@ def _rgb_of(image: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(image[..., 2::-1])
 
 
-def resize(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
-    """The image resampled to another size: by area averages where it shrinks, bilinear where it grows."""
+def resize(image: NDArray[Any], width: int, height: int, *, exact: bool = False) -> NDArray[Any]:
+    """The image resampled to another size: by area averages where it shrinks, bilinear where it grows.
+
+    Args:
+        image: [H, W] or [H, W, C].
+        width: The new width [px].
+        height: The new height [px].
+        exact: Take the nearest pixel: there is no mean between two.
+    """
     if image.shape[1::-1] == (width, height):
         return image
+    if exact:
+        return cv2.resize(image, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
     shrinks = width * height < image.shape[0] * image.shape[1]
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)

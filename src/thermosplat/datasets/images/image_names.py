@@ -12,8 +12,9 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from thermosplat.datasets.frame_files import Split
 from thermosplat.datasets.images.image_files import list_images
+from thermosplat.datasets.images.stack_files import list_stacks
 from thermosplat.errors import UserError
-from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig, folder_names
+from thermosplat.spectra import DEFAULT_SPECTRA, STACKS, Source, SpectrumConfig, folder_names
 
 T = TypeVar("T")
 Key = Callable[[PurePosixPath], str]
@@ -221,14 +222,17 @@ def exposures(images: Mapping[str, NamedImages[Any]]) -> list[Exposure]:
     return sorted(found, key=lambda exposure: (split_key(exposure.name), str(exposure.name)))
 
 
-def files_in(folder: Path, *, by_stem: bool = False, folders: Collection[str] = USUAL_FOLDERS) -> NamedImages[Path]:
+def files_in(
+    folder: Path, source: Source = "auto", *, by_stem: bool = False, folders: Collection[str] = USUAL_FOLDERS
+) -> NamedImages[Path]:
     """The image files below a folder.
 
     Args:
         folder: May be absent.
+        source: What the spectrum's images are, which says what files they may be.
         by_stem: As of ``NamedImages``.
         folders: As of ``NamedImages``.
     """
-    paths = list_images(folder, recursive=True)
+    paths = list_stacks(folder) if source in STACKS else list_images(folder, recursive=True)
     named = [(PurePosixPath(path.relative_to(folder).as_posix()), path) for path in paths]
     return NamedImages(f"{folder.name}/", named, by_stem=by_stem, folders=folders)

@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.class_colors import UNLABELLED, colors_of
 from thermosplat.datasets.images.dead_pixels import DEAD_WINDOW
 from thermosplat.datasets.images.image_files import resize
+from thermosplat.datasets.images.masks import joined
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS
 from thermosplat.thermal.radiometry import PixelScale
@@ -45,11 +47,13 @@ class SpectrumPixels:
         image: uint8 [H, W, 3] for photographs and pseudo-colours; float32 [H, W, 1] in [0, 1] for one value per pixel.
         values: float32 [H, W], measured values in the unit of the spectrum's scale, where the data has them.
         mask: bool [H, W], where pixels count; None: everywhere.
+        exact: Pixels have no mean between them, such as colours of classes.
     """
 
     image: NDArray[np.uint8] | NDArray[np.float32]
     values: NDArray[np.float32] | None
     mask: NDArray[np.bool_] | None = None
+    exact: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -63,18 +67,21 @@ class PixelMeaning:
 
     Args:
         kind: "photograph" and "color": their colours as they are. "grey": level / 255. "raw": radiometric values
-            between `ends`.
+            between `ends`. "labels": levels are classes, which have colours.
+            "stack": channels in a basis.
         scale: What the pixels mean.
         unit: Unit of radiometric values in the files.
         factor: What those are multiplied by.
         ends: Values that become 0 and 1, of kind "raw".
+        classes: How many there are, of kind "labels".
     """
 
-    kind: Literal["photograph", "color", "grey", "raw"]
+    kind: Literal["photograph", "color", "grey", "raw", "labels", "stack"]
     scale: PixelScale
     unit: str
     factor: float = 1.0
     ends: tuple[float, float] = (0.0, 1.0)
+    classes: int = 0
 
     @property
     def of_values(self) -> bool:
@@ -84,18 +91,20 @@ class PixelMeaning:
     @property
     def has_colors(self) -> bool:
         """The image has three channels of 8 bits, not one of float32."""
-        return self.kind in ("photograph", "color")
+        return self.kind in ("photograph", "color", "labels")
 
     def described(self) -> tuple[object, ...]:
         """Everything that decides about pixels, in a form whose ``repr`` has every digit."""
         scale = self.scale
-        palette = () if scale.kind == "photograph" else tuple(scale.palette.colors.ravel().tolist())
+        palette = () if not scale.has_intensity else tuple(scale.palette.colors.ravel().tolist())
         return self.kind, scale.kind, scale.range, scale.unit, palette, self.unit, self.factor, self.ends
 
     def pixels(self, file: SpectrumFile) -> SpectrumPixels | None:
         """The image of an exposure, at its file's size; None where it lacks the file that images are made of."""
         if self.of_values:
             return None if file.raw is None else self._of_values(file.raw, file.raw_mask)
+        if self.kind == "labels":
+            return self._of_classes(file)
         if file.display is None:
             return None
         if self.kind == "photograph":
@@ -115,6 +124,28 @@ class PixelMeaning:
         width = max(high - low, 1e-6)
         image = np.asarray(np.clip((values - low) / width, 0, 1)[..., None], np.float32)
         return SpectrumPixels(image, None if measured_unit(self.unit) is None else values, mask)
+
+    def _of_classes(self, file: SpectrumFile) -> SpectrumPixels:
+        """Colours of classes; pixels of none do not count.
+
+        Raises:
+            UserError: The image has colours, or the number of a class that does not exist.
+        """
+        numbers = file.display
+        if numbers is None or numbers.ndim != 2:
+            raise UserError(
+                f"{file.path} is no label image: it has colours, or more than 8 bits.",
+                f"Expected is 8-bit grey, each level the number of a class, {UNLABELLED} where there is none.",
+            )
+        counts = numbers != UNLABELLED
+        if (unknown := numbers[counts & (numbers >= self.classes)]).size:
+            raise UserError(
+                f"{file.path} has pixels of class {unknown[0]}, and the spectrum has {self.classes} classes (0 to "
+                f"{self.classes - 1}).",
+                f"Name all of them in its classes, or write {UNLABELLED} for pixels of no class.",
+            )
+        mask = joined([file.mask, counts])
+        return SpectrumPixels(np.stack(colors_of(numbers), axis=-1), None, mask, exact=True)
 
     def _values_beside(self, file: SpectrumFile) -> NDArray[np.float32] | None:
         """Measured values of the radiometric file, at the size of the displayable image."""

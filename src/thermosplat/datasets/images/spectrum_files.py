@@ -15,8 +15,9 @@ from thermosplat.datasets.images.image_folders import image_folder, spectrum_fol
 from thermosplat.datasets.images.masks import Mask, filled, joined, read_mask
 from thermosplat.datasets.images.pixel_meaning import PixelMeaning, SpectrumFile
 from thermosplat.datasets.images.spectrum_images import SpectrumReading, interpret, is_radiometric
+from thermosplat.datasets.images.stack_images import read_stacks
 from thermosplat.errors import UserError
-from thermosplat.spectra import COUNTS, Source, SpectrumConfig, label
+from thermosplat.spectra import COUNTS, STACKS, Source, SpectrumConfig, label
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermal.temperature_units import RadiometricStatement, may_be_temperature, read_statement
 
@@ -44,6 +45,8 @@ def read_spectrum(
     """
     if not any(name in frame.shots for frame in frames):
         return None
+    if spectrum.source in STACKS:
+        return read_stacks([frame.shots.get(name) for frame in frames], spectrum)
     files = _read_files([frame.shots.get(name) for frame in frames], spectrum.source)
     present = [file for file in files if file is not None]
     displays = tuple(None if file is None else file.display for file in files)
@@ -51,6 +54,10 @@ def read_spectrum(
         meaning = PixelMeaning("photograph", PixelScale("photograph"), COUNTS)
         pixels = tuple(file if file is None else meaning.pixels(file) for file in files)
         return SpectrumReading(meaning, pixels, tuple(_constant_notes(name, present)), displays)
+    if spectrum.source == "labels":
+        meaning = PixelMeaning("labels", PixelScale("labels"), COUNTS, classes=len(spectrum.classes))
+        pixels = tuple(file if file is None else meaning.pixels(file) for file in files)
+        return SpectrumReading(meaning, pixels, (), displays)
     statement = RadiometricStatement()
     if may_be_temperature(spectrum.unit):
         below_images = spectrum_folder(image_folder(root, "images"), name, spectrum)

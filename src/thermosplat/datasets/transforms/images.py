@@ -9,7 +9,7 @@ from thermosplat.datasets.images.image_files import list_images
 from thermosplat.datasets.images.image_folders import spectrum_folder, values_folder
 from thermosplat.datasets.images.image_names import NamedImages, files_in, folders_of
 from thermosplat.datasets.images.masks import masks_by_spectrum
-from thermosplat.spectra import SpectrumConfig, label
+from thermosplat.spectra import Source, SpectrumConfig, label
 
 
 class ImageFile(NamedTuple):
@@ -61,10 +61,10 @@ class TransformsImages:
         self._names = NamedImages(path.name, [(name, None) for name in names], folders=folders)
         self._leading, *others = spectra
 
-        def files(folder: Path) -> NamedImages[Path]:
-            return files_in(folder, by_stem=True, folders=folders)
+        def files(folder: Path, source: Source = "auto") -> NamedImages[Path]:
+            return files_in(folder, source, by_stem=True, folders=folders)
 
-        self._files = {name: files(spectrum_folder(root, name, spectra[name])) for name in others}
+        self._files = {name: files(spectrum_folder(root, name, spectra[name]), spectra[name].source) for name in others}
         self._values = {name: files(values_folder(root, name, spectra[name])) for name in others}
         self._masks, self._mask_keys = masks_by_spectrum(root, spectra), mask_keys(spectra)
         self._lost_masks: list[Path] = []

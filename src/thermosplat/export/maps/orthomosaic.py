@@ -136,7 +136,7 @@ def render_map(
         second band, 1 where they were.
     """
     recalculated = temperatures is not None and temperatures.recalculates(name)
-    bands = 3 if scale.kind == "photograph" else 2 if recalculated else 1
+    bands = 3 if not scale.has_intensity else 2 if recalculated else 1
     picture = np.full((bands, grid.height, grid.width), np.nan, np.float32)
     for left, upper, width, height in grid.tiles():
         view = grid.view(left, upper, width, height, model.background.device)
@@ -149,6 +149,7 @@ def render_map(
         elif bands == 1:
             intensity = pixel_intensity(image, scale)
             image = (intensity if scale.measured_unit is None else scale.value(intensity))[..., None]
+        image = image[..., :bands]  # of a stack the first
         seen = rendered.covered()[..., None].to(image.device)
         part = torch.where(seen, image, torch.nan).permute(2, 0, 1).cpu().numpy()
         picture[:, upper : upper + height, left : left + width] = part

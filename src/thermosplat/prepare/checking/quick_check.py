@@ -72,6 +72,8 @@ def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
     held_out = {frame.name for frame in capture.test}
     train, test = ([frame for frame in frames if (frame.name in held_out) is held] for held in (False, True))
     for name, scale in capture.scales.items():
+        if not scale.is_taken:
+            continue
         notes += repeated_notes(name, _views(train, name), _views(test, name))
         notes += temperature_notes(name, _sampled(_views(frames, name)), scale)
         if lead is not None and name != lead:

@@ -20,6 +20,7 @@ from thermosplat.scene.formations.image_terms import LossTerm, image_terms
 from thermosplat.scene.gaussians import SH_C0, Gaussians, PointColors
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.spectra import Spectrum, SpectrumConfig
+from thermosplat.thermal.radiometry import PixelScale
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -82,7 +83,9 @@ class Formation(nn.Module):
     exact_splats = False
     """Whether ``harmonics`` show its images as they are."""
     layers: tuple[str, ...] = ()
-    """What else a viewer may show of it, by name: values in [0, 1] (``layer``)."""
+    """What else a viewer may show of it, by name (``layer``)."""
+    classes: tuple[str, ...] = ()
+    """Names of the classes that its images tell (``classes_in``)."""
 
     def __init__(self, spectrum: Spectrum, common: Common) -> None:
         super().__init__()
@@ -106,6 +109,13 @@ class Formation(nn.Module):
 
     # ---- before anything is blended ----------------------------------------------------------------------------------
 
+    def begin(self, scale: PixelScale) -> None:
+        """Take over what the capture says of the spectrum's images, before training.
+
+        Args:
+            scale: What its pixels mean.
+        """
+
     def initial(self, points: PointColors, *, is_first: bool) -> dict[str, Tensor]:
         """What Gaussians hold for this spectrum alone, at the start of training.
 
@@ -119,6 +129,10 @@ class Formation(nn.Module):
             Parameters [M, ...] by name.
         """
         return {}
+
+    def basis_of_images(self) -> Tensor | None:
+        """Orthonormal rows in which its images are read, [n, channels]; None: they are read as they are."""
+        return None
 
     # ---- the image ---------------------------------------------------------------------------------------------------
 
@@ -213,8 +227,8 @@ class Formation(nn.Module):
         nothing = torch.zeros(1, 1, self.common.model.feature_dim, device=background.device)
         colors = background if self.spectrum.is_photograph else torch.zeros_like(background)
         features = nothing if self.takes_features else None
-        blended = Blended(None, nothing[..., :1], features, colors.expand(1, 1, 3), background=background)
-        return self.render(blended, self.decoded(features))[0, 0]
+        blended = Blended(None, colors.new_zeros(1, 1, 1), features, colors.expand(1, 1, 3), background=background)
+        return self.render(self.through_optics(blended), self.decoded(features))[0, 0]
 
     def layer(self, layer: str, rendered: RenderedFrame) -> Tensor:
         """One of ``layers``, [H, W].
@@ -225,6 +239,25 @@ class Formation(nn.Module):
         """
         raise NotImplementedError
 
+    def ask(self, query: Tensor) -> bool:
+        """Let one of ``layers`` show how well pixels fit a direction; whether images are such that they can.
+
+        Args:
+            query: Numbers, [channels].
+
+        Raises:
+            UserError: It has another number of channels, or is no direction.
+        """
+        return False
+
+    def layer_range(self, layer: str) -> tuple[float, float]:
+        """Values of one of ``layers`` at the ends of its palette.
+
+        Args:
+            layer: Its name.
+        """
+        return 0.0, 1.0
+
     def scores(self, image: Tensor, target: Tensor, mask: Tensor | None) -> Mapping[str, float]:
         """What a held-out image is judged by beside PSNR, SSIM, LPIPS and errors of measured values, by name.
 
@@ -234,6 +267,14 @@ class Formation(nn.Module):
             mask: bool [H, W], which pixels count; None: all.
         """
         return {}
+
+    def classes_in(self, image: Tensor) -> Tensor:
+        """The number of each pixel's class among ``classes``, [H, W] integers; another number: none.
+
+        Args:
+            image: Its image or render, [H, W, channels].
+        """
+        raise NotImplementedError
 
     def numbers(self) -> Mapping[str, float]:
         """What training has found beside images, for metrics.json, by name."""

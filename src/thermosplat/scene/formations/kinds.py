@@ -7,10 +7,12 @@ from thermosplat.scene.decoder import Decoder, Decoders, num_inputs
 from thermosplat.scene.formations.decoded import DecodedFormation
 from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.formations.harmonic import HarmonicFormation
+from thermosplat.scene.formations.labels import LabelFormation
+from thermosplat.scene.formations.stacks import StackFormation
 from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.spectra import Spectrum
 
-FORMATIONS: list[type[Formation]] = [DecodedFormation, HarmonicFormation]
+FORMATIONS: list[type[Formation]] = [LabelFormation, StackFormation, DecodedFormation, HarmonicFormation]
 """A spectrum has the first that is for it; those that are for few spectra come before those that are for many."""
 
 DECODERS: dict[str, type[Decoder]] = {"joined": Decoders, "separate": SpectrumDecoders}

@@ -1,11 +1,12 @@
-"""Density control that divides a Gaussian between two spectra which pull it in different directions. MMOne.
+"""Density control that divides a Gaussian between spectra which pull it in different directions. MMOne.
 
-A Gaussian that both spectra see has two gradients of means2d. Where their means over the views since the last
-refinement differ by more than a threshold, the Gaussian becomes two at the same place: one that only RGB sees and one
-that only thermal sees. Not seen means an opacity below 1/255, which the renderer skips, so that it gets no gradient and
+A Gaussian that all spectra see has a gradient of means2d of each. Where the means of two of them over the views since
+the last refinement differ by more than a threshold, the Gaussian becomes several at the same place, each of which one
+spectrum alone sees. Not seen means an opacity below 1/255, which the renderer skips, so that it gets no gradient and
 stays that way. ``max_gaussians`` caps division as it does growth, which gets what room is left.
 """
 
+import itertools
 import math
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.scene.gaussians import Gaussians, own_logits_name
-from thermosplat.training.density.gaussian_ops import Optimizers, clear_moments, clone
+from thermosplat.training.density.gaussian_ops import Optimizers, append_copies, clear_moments
 from thermosplat.training.density.gradient_control import DefaultStrategy
 
 VISIBLE_OPACITY = 1.0 / 255.0
@@ -28,9 +29,9 @@ OFF_OPACITY = 0.003
 
 
 class DecomposingStrategy(DefaultStrategy):
-    """``DefaultStrategy`` with decomposition by spectrum, of a set with two opacities stored apart.
+    """``DefaultStrategy`` with decomposition by spectrum, of a set with an opacity for each, stored apart.
 
-    Gradients of the two spectra are added as vectors. Where their cameras differ, their image axes are taken to be
+    Gradients of the spectra are added as vectors. Where their cameras differ, their image axes are taken to be
     parallel, as those of a camera pair nearly are.
     """
 
@@ -38,10 +39,10 @@ class DecomposingStrategy(DefaultStrategy):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        _, self.second = self.spectra
-        """The spectrum whose opacity is stored beside α."""
+        self.opacities = ["logit_opacities", *map(own_logits_name, self.spectra[1:])]
+        """The parameters with the opacity of each spectrum."""
         self.gradient_sums = self._no_gradients()
-        """Gradients of means2d since the last refinement, in units of half the image, by spectrum, shape [2, N, 2]."""
+        """Gradients of means2d since the last refinement, in units of half the image, by spectrum, shape [S, N, 2]."""
         self._spared = torch.zeros_like(self.grad_norm_sum, dtype=torch.bool)
         """Gaussians that the refinement under way has divided, and must not remove, shape [N]."""
 
@@ -77,46 +78,48 @@ class DecomposingStrategy(DefaultStrategy):
         divided = self._conflicting(gaussians)
         if not divided.any():
             return
-        clone(gaussians, optimizers, divided)
-        copies = divided.new_ones(len(gaussians) - len(divided))
-        first, second = torch.cat([divided, ~copies]), torch.cat([torch.zeros_like(divided), copies])
-        self._switch_off(gaussians, optimizers, own_logits_name(self.second), first)
-        self._switch_off(gaussians, optimizers, "logit_opacities", second)
+        rows, others = torch.where(divided)[0], len(self.opacities) - 1
+        append_copies(gaussians, optimizers, rows.repeat(others))
+        owners = torch.where(divided, 0, -1)  # of what is divided, the spectrum that sees it
+        copies = torch.arange(1, others + 1, device=rows.device).repeat_interleave(len(rows))
+        owners = torch.cat([owners, copies])
+        for place, name in enumerate(self.opacities):
+            self._switch_off(gaussians, optimizers, name, (owners >= 0) & (owners != place))
         none = self.grad_norm_sum.new_zeros(len(copies))
         self.grad_norm_sum = torch.cat([self.grad_norm_sum.masked_fill(divided, 0.0), none])
         self.observations = torch.cat([self.observations, none])
-        self._spared = first | second
+        self._spared = owners >= 0
 
     def _follow(self, rows: Tensor) -> None:
         self._spared = self._spared[rows]
 
     def _conflicting(self, gaussians: Gaussians) -> Tensor:
-        """Mask of the Gaussians that both spectra see and pull apart; where room is scarce, the farthest. Shape [N]."""
+        """Mask of the Gaussians that all spectra see and two pull apart; where room is scarce, the farthest. [N]."""
         views = self.observations.clamp(min=1.0)
-        apart = (self.gradient_sums[0] - self.gradient_sums[1]).norm(dim=-1) / views
-        fainter = torch.minimum(gaussians.opacities, gaussians.opacities_in(self.second))
+        pairs = itertools.combinations(self.gradient_sums, 2)
+        apart = torch.stack([(one - other).norm(dim=-1) for one, other in pairs]).amax(dim=0) / views
+        faintest = torch.stack([gaussians.opacities_in(name) for name in self.spectra]).amin(dim=0)
         pulled = (apart >= CONFLICT_THRESHOLD) & (self.grad_norm_sum / views >= CONFLICT_THRESHOLD)
-        return self._within_cap(pulled & (fainter > VISIBLE_OPACITY), apart)
+        return self._within_cap(pulled & (faintest > VISIBLE_OPACITY), apart, copies=len(self.spectra) - 1)
 
     @torch.no_grad()
     def _prune(self, gaussians: Gaussians, optimizers: Optimizers, step: int) -> int:
         """As ``DefaultStrategy``'s; what stays although it is faint in one spectrum is switched off there."""
         pruned = super()._prune(gaussians, optimizers, step)
-        (faint_first, faint_second), clear = self._faint(gaussians), self._clear(gaussians)
-        self._switch_off(gaussians, optimizers, "logit_opacities", faint_first & clear)
-        self._switch_off(gaussians, optimizers, own_logits_name(self.second), faint_second & clear)
+        faint, clear = self._faint(gaussians), self._clear(gaussians)
+        for name, faint_in in zip(self.opacities, faint, strict=True):
+            self._switch_off(gaussians, optimizers, name, faint_in & clear)
         return pruned
 
     def _removed(self, gaussians: Gaussians, step: int) -> Tensor:
         """Faint in one spectrum is enough to go, unless the other one sees a Gaussian clearly."""
-        faint_first, faint_second = self._faint(gaussians)
-        removed = ((faint_first | faint_second) & ~self._clear(gaussians)) | self._too_large(gaussians, step)
+        removed = (self._faint(gaussians).any(dim=0) & ~self._clear(gaussians)) | self._too_large(gaussians, step)
         return removed & ~self._spared
 
-    def _faint(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
-        """Masks of the Gaussians that are faint in the first and in the second spectrum, each [N]."""
-        faintest = self.config.prune_opacity
-        return gaussians.opacities < faintest, gaussians.opacities_in(self.second) < faintest
+    def _faint(self, gaussians: Gaussians) -> Tensor:
+        """Which Gaussians are faint in each spectrum, bool [S, N]."""
+        opacities = torch.stack([gaussians.opacities_in(name) for name in self.spectra])
+        return opacities < self.config.prune_opacity
 
     def _clear(self, gaussians: Gaussians) -> Tensor:
         """Mask of the Gaussians that a spectrum sees clearly, [N]."""

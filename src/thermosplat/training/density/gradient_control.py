@@ -182,11 +182,11 @@ class DefaultStrategy:
         is_small = gaussians.scales.amax(dim=-1) <= GROW_SCALE3D * self.scene_extent
         return grows & is_small, grows & ~is_small
 
-    def _within_cap(self, doubled: Tensor, values: Tensor) -> Tensor:
-        """Of the Gaussians that are to become two, mask [N], those of the largest values [N] that there is room for."""
+    def _within_cap(self, doubled: Tensor, values: Tensor, copies: int = 1) -> Tensor:
+        """Of the Gaussians that get copies, mask [N], those of the largest values [N] that there is room for."""
         if self.most is None:
             return doubled
-        return doubled & _largest(values.masked_fill(~doubled, -torch.inf), self.most - len(values))
+        return doubled & _largest(values.masked_fill(~doubled, -torch.inf), (self.most - len(values)) // copies)
 
     def _follow(self, rows: Tensor) -> None:
         """Growth made Gaussian k a copy of the one that was ``rows[k]``: nothing is kept here that has to follow."""

@@ -21,6 +21,8 @@ _IMAGES = {
     "photograph": "photographs as {} images",
     "color": "pseudo-coloured {} images",
     "scalar": "{} images of one channel",
+    "labels": "{} images of classes",
+    "stack": "{} images of many channels",
     None: "no {} images",
 }
 """By the kind of their scale."""
