@@ -40,6 +40,7 @@ SIDEBAR = {
     "Use": [
         "docs/capturing*",
         "docs/prepar*",
+        "docs/flights",
         "docs/data-layouts",
         "docs/spectra",
         "docs/viewer",

@@ -10,10 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from plyfile import PlyData
 
 from sample_runs import QUICK, STEPS, Run
 from thermosplat.cli import evaluate, export, render, train
 from thermosplat.datasets import load_capture
+from thermosplat.datasets.geo_file import GeoFrame
 from thermosplat.export.maps.map_frame import MapFrame, local_frame
 from thermosplat.novel_views.bookmarks import Bookmark, write_bookmarks
 
@@ -324,6 +326,52 @@ def test_maps_of_a_capture_with_gps(run: Run, finished: Path, tmp_path: Path) ->
     assert np.isfinite(expected).sum() - there.sum() < 5
     assert expected[there].std() > 0.05
     np.testing.assert_allclose(seen[there], expected[there], atol=0.01)
+
+
+def test_exports_of_a_flight_lie_in_one_utm_frame(run: Run, finished: Path, tmp_path: Path) -> None:
+    """Without a flag: splats, points and LAS at one place, the map with its zone around them, geo.json beside them."""
+    rasterio = pytest.importorskip("rasterio", reason='rasterio is not installed (pip install ".[maps]")')
+    laspy = pytest.importorskip("laspy", reason='laspy is not installed (pip install ".[maps]")')
+    flight, geo = tmp_path / "flight", GeoFrame(47.0512, 8.3064, 452.0, 0.8, 40)
+    shutil.copytree(finished, flight)
+    (flight / "geo.json").write_text(json.dumps(geo.content()))
+    for words in (("orthomosaic", "--gsd", 0.05), ("points", "--points", 2000), ("las", "--points", 2000)):
+        code, printed = run(export.main, flight, "--spectra", "thermal", "--format", *words)
+        assert code == 0, printed
+    code, printed = run(export.main, flight, "--spectra", "thermal", "--fit-passes", 0)
+    assert "UTM zone 32N from 447319.0 5211087.0 452.0" in printed
+    origin = json.loads((flight / "ply" / "geo.json").read_text())["origin"]
+    assert json.loads((flight / "exports" / "geo.json").read_text())["origin"] == origin
+    las = np.asarray(laspy.read(flight / "exports" / "points_thermal.las").xyz)
+    points = PlyData.read(flight / "exports" / "points_thermal.ply")["vertex"]
+    np.testing.assert_allclose(np.column_stack([points[axis] for axis in "xyz"]) + origin, las, atol=2e-3)
+    splats = PlyData.read(flight / "ply" / "splat_thermal.ply")["vertex"]
+    middle = np.median(np.column_stack([splats[axis] for axis in "xyz"]) + origin, axis=0)
+    assert np.linalg.norm(middle - np.median(las, axis=0)) < 3.0
+    with rasterio.open(flight / "exports" / "orthomosaic_thermal.tif") as file:
+        assert (file.crs.to_epsg(), file.dtypes, file.units) == (32632, ("float32",), ("celsius",))
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert file.bounds.left < middle[0] < file.bounds.right
+        assert file.bounds.bottom < middle[1] < file.bounds.top
+
+
+def test_thermal_images_lie_beside_pictures(run: Run, finished: Path) -> None:
+    """Of a spectrum with a unit, as 32-bit floats in °C; those of a longer path are gone, a user's file stays."""
+    folder = finished / "videos" / f"interp_rgb-thermal_{STEPS:06d}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("00007_thermal.tiff", "mine.tiff"):
+        (folder / name).write_bytes(b"x")
+    code, _ = run(render.main, finished, "--format", "png", "--frames", 2)
+    assert code == 0
+    assert sorted(path.name for path in folder.glob("*.tiff")) == [
+        "00000_thermal.tiff",
+        "00001_thermal.tiff",
+        "mine.tiff",
+    ]
+    values = cv2.imread(str(folder / "00001_thermal.tiff"), cv2.IMREAD_UNCHANGED)
+    assert values.dtype == np.float32
+    assert 0 < np.nanmin(values) <= np.nanmax(values) < 100
+    (folder / "mine.tiff").unlink()
 
 
 def test_render_layouts_and_bookmarks(run: Run, finished: Path, tmp_path: Path) -> None:

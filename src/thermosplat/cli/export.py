@@ -53,7 +53,7 @@ def _export(arguments: ExportArguments) -> int:
 
         if arguments.format == "orthomosaic":
             from thermosplat.cli.exporting.map import export_map as export
-        elif arguments.format in ("points", "mesh"):
+        elif arguments.format in ("points", "las", "mesh"):
             from thermosplat.cli.exporting.surface import export_surface as export
         else:
             from thermosplat.cli.exporting.splats import export_splats as export

@@ -16,6 +16,9 @@ from thermosplat.errors import UserError
 from thermosplat.printing import SafeConsole
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from thermosplat.novel_views.bookmarks import Bookmark
     from thermosplat.novel_views.viewpoints import PathName
 
@@ -29,8 +32,8 @@ class RenderArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArgumen
     it; train, test: the views of that split themselves. Or a bookmarks file of thermosplat-view: smoothly through its
     bookmarks."""
     format: Literal["mp4", "png"] = "mp4"
-    """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named
-    by the frames on the train and test paths and numbered on the others."""
+    """A video (H.264 after pip install ".[video]" in the repository), or a folder of PNGs, named by the frames on the
+    train and test paths and numbered on the others. Beside PNGs the measured values lie as TIFFs of 32-bit floats."""
     layout: Literal["side-by-side", "wipe", "inset"] = "side-by-side"
     """Of several spectra: beside each other; a wipe whose edge wanders over the picture; or the others small inside
     the first."""
@@ -65,6 +68,7 @@ def _render(arguments: RenderArguments) -> int:
         from thermosplat.evaluation.loaded_run import load_run
         from thermosplat.evaluation.results_page import write_results_page
         from thermosplat.novel_views.viewpoints import bookmarked_viewpoints, rendered_images, viewpoints
+        from thermosplat.pictures.image_display import write_values
         from thermosplat.pictures.layouts import check_title
         from thermosplat.pictures.video import browsers_play_videos, write_images
         from thermosplat.runs.atomic_writes import check_is_no_link
@@ -88,6 +92,16 @@ def _render(arguments: RenderArguments) -> int:
     name += "_recalculated" if temperatures.text else ""
     videos = loaded.directory.videos
     check_is_no_link(videos / name)
+    names = [f"{index:05d}" for index in range(len(points))]
+    if path in ("train", "test"):
+        names = [file_stem(point.frame) for point in points]
+
+    def write_measured(index: int, spectrum: str, values: "NDArray[np.float32]") -> None:
+        write_values(videos / name / f"{names[index]}_{spectrum}.tiff", values)
+
+    if arguments.format == "png":
+        for earlier in (videos / name).glob("[0-9]" * 5 + "_*.tiff"):  # of a longer path
+            earlier.unlink()
     images = rendered_images(
         loaded.model,
         points,
@@ -98,6 +112,7 @@ def _render(arguments: RenderArguments) -> int:
         title=arguments.title,
         temperatures=temperatures,
         ranges={name: display_range(capture, name) for name in shown},
+        measured=write_measured if arguments.format == "png" else None,
     )
     console = SafeConsole()
     doing = f"Rendering {path or 'bookmarks'}"
@@ -106,7 +121,7 @@ def _render(arguments: RenderArguments) -> int:
         videos / name,
         format=arguments.format,
         fps=arguments.fps,
-        names=[file_stem(point.frame) for point in points] if path in ("train", "test") else None,
+        names=names if path in ("train", "test") else None,
     )
     if arguments.format == "mp4" and written.is_dir():
         print("No video encoder here, so PNGs were written.")

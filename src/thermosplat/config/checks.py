@@ -116,6 +116,8 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int) and abs(number) > _LARGEST_INTEGER and key != "seed":
                 raise UserError(f"{name(key)} must be at most {_LARGEST_INTEGER:,}, found {shown(number)}.")
+    if isinstance(config.image_size, int) and config.image_size < 1:
+        raise UserError(f"{name('image_size')} must be at least 1 or auto, found {config.image_size}.")
     for key in _SHARES:
         if not 0 <= values[key] <= 1:
             raise UserError(f"{name(key)} must lie between 0 and 1, found {values[key]}.")

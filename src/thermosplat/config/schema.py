@@ -12,6 +12,7 @@ from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
 Refined = Literal["poses", "rig", "intrinsics", "distortion"]
 LensUse = Literal["undistort", "direct"]
+ImageSize = Literal["auto"] | int
 Steps = int | float
 """Of a schedule: a whole number counts steps of one frame, a number with a point is that share of the run."""
 
@@ -239,6 +240,9 @@ class TrainConfig:
     square root (docs/several-devices.md). Grendel (Zhao et al. 2024)."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
+    image_size: ImageSize = "auto"
+    """Longest side of the images [px]; larger ones are shrunk, of each spectrum by itself. auto: 1600, unless
+    ``data_factor`` is given, as the code of 3DGS has it."""
     lens: LensUse = "undistort"
     """What is done about distorted lenses: "undistort" resamples their images to pinhole images; "direct" leaves images
     as they were taken, for training and evaluation, and renders through the lens."""

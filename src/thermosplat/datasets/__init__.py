@@ -2,15 +2,18 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
-from thermosplat.config import LensUse, TrainConfig
+from thermosplat.config import ImageSize, LensUse, TrainConfig
 from thermosplat.config.checks import check_text
 from thermosplat.config.values import shortened
 from thermosplat.datasets.assemble import assemble
 from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.datasets.geo_file import read_geo
 from thermosplat.datasets.ground_truth import check_ground_truth
+from thermosplat.datasets.image_size import TrainedSize
 from thermosplat.datasets.layouts import list_capture
 from thermosplat.errors import UserError
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
@@ -35,6 +38,7 @@ def capture_of(config: TrainConfig) -> Capture:
     return load_capture(
         config.data,
         data_factor=config.data_factor,
+        image_size=config.image_size,
         test_every=config.test_every,
         spectra=config.spectra,
         lens=config.lens,
@@ -46,6 +50,7 @@ def load_capture(
     data: str | Path,
     *,
     data_factor: int = 1,
+    image_size: ImageSize = "auto",
     test_every: int = 8,
     spectra: Mapping[str, SpectrumConfig] = DEFAULT_SPECTRA,
     lens: LensUse = "undistort",
@@ -56,6 +61,7 @@ def load_capture(
     Args:
         data: Folder of the capture, or "sample" for the one in the package (a folder of that name is "./sample").
         data_factor: Divide the images' width and height by this.
+        image_size: Longest side of the images [px]; "auto": 1,600, or any with a factor.
         test_every: Every n-th frame is held out, where the folders do not say which are.
         spectra: The spectra to look for, and how the images of each are read. RGB and thermal by default.
         lens: "undistort" resamples images of distorted lenses to pinhole images; "direct" leaves them as they were
@@ -88,16 +94,26 @@ def load_capture(
             root,
             name,
             listing,
-            data_factor=data_factor,
+            size=TrainedSize(data_factor, image_size),
             test_every=test_every,
             spectra=spectra,
             image_memory=image_memory,
             lens=lens,
         )
         check_ground_truth(capture)
+        capture = _located(capture)
     except OSError as error:
         where = error.filename or root
         raise UserError(
             f"Cannot read {where}: {error.strerror or error}.", "May you read it, and is the disk there?"
         ) from error
     return capture
+
+
+def _located(capture: Capture) -> Capture:
+    """The capture with what geo.json in its folder says, which may be another program's and then counts for nothing."""
+    try:
+        return replace(capture, geo=read_geo(capture.root))
+    except UserError as error:
+        note = f"{error.message} The capture counts as one without a place on the Earth."
+        return replace(capture, notes=(*capture.notes, note))

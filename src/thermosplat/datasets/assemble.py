@@ -16,6 +16,7 @@ from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.capture_notes import distortion_notes, mask_notes, pairing_notes
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
+from thermosplat.datasets.image_size import TrainedSize
 from thermosplat.datasets.images.image_folders import shown_path
 from thermosplat.datasets.images.jpeg_warnings import check_jpegs
 from thermosplat.datasets.images.msx import msx_notes
@@ -31,7 +32,7 @@ from thermosplat.datasets.large_captures import (
     sampled_frames,
     unread_pixels,
 )
-from thermosplat.datasets.lens import RENDERED, camera_through_lens, rectified_camera, shrunk
+from thermosplat.datasets.lens import RENDERED, camera_through_lens, rectified_camera
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.datasets.placement import Placement
 from thermosplat.datasets.plausible_cameras import check_camera, outlying_notes
@@ -54,7 +55,7 @@ def assemble(
     name: str,
     listing: Listing,
     *,
-    data_factor: int,
+    size: TrainedSize,
     test_every: int,
     spectra: Mapping[str, SpectrumConfig],
     lens: LensUse = "undistort",
@@ -66,7 +67,7 @@ def assemble(
         root: The capture's folder.
         name: The capture's name.
         listing: Its files, cameras and points.
-        data_factor: Divide the images' sides by this.
+        size: What makes images smaller.
         test_every: Period of the hold-out rule, where the folders do not divide the frames.
         spectra: The spectra, and how the images of each are read.
         lens: "undistort" resamples distorted images to pinhole images; "direct" leaves them as they were taken.
@@ -75,9 +76,9 @@ def assemble(
     Raises:
         UserError: Files are unreadable, of the wrong size, or not what `spectra` asks for.
     """
-    if not isinstance(data_factor, Integral) or data_factor < 1:
+    if not isinstance(size.factor, Integral) or size.factor < 1:
         raise UserError(
-            f"--data-factor (data_factor) must be a whole number of at least 1, got {data_factor!r}.",
+            f"--data-factor (data_factor) must be a whole number of at least 1, got {size.factor!r}.",
             "1 keeps the images' size, 2 halves width and height.",
         )
     frames = _checked_frames(listing, root)
@@ -86,7 +87,7 @@ def assemble(
     frames = [_placed(frame, placement) for frame in frames]
     read_by_line, shutter_notes = readouts(root, frames, placement)
     headers, memory = Headers(frames), allowed_memory(image_memory)
-    taken = headers.taken_at_once(frames, data_factor)
+    taken = headers.taken_at_once(frames, size)
     if taken <= memory:
         on_disk, read = None, _read_all(root, frames, listing, spectra)
     else:
@@ -96,7 +97,7 @@ def assemble(
     for index, frame in enumerate(frames):
         exposures = {spectrum: pixels[index] for spectrum, pixels in read.pixels.items()}
         lines = {spectrum: read_by_line.get((frame.name, spectrum)) for spectrum in exposures}
-        views.append(_frame(frame, exposures, lines, listing, root, data_factor, spectra, lens))
+        views.append(_frame(frame, exposures, lines, listing, root, size, spectra, lens))
     shown = [bool(frame.views) for frame in views]  # a lone file may be of no use
     views, mask = list(compress(views, shown)), list(compress(mask, shown))
     train, test = divide(views, mask)
@@ -108,6 +109,7 @@ def assemble(
         *pairing_notes(views, spectra),
         *mask_notes(views, frames, root),
         *distortion_notes(frames, lens),
+        *size.notes(headers.sizes(frames)),
         *shutter_notes,
         *outlying_notes(frames, root),
         *placement.note(),
@@ -254,7 +256,7 @@ def _frame(
     lines: Mapping[str, Readout | None],
     listing: Listing,
     root: Path,
-    data_factor: int,
+    size: TrainedSize,
     spectra: Mapping[str, SpectrumConfig],
     lens: LensUse,
 ) -> Frame:
@@ -270,7 +272,7 @@ def _frame(
         elif not spectra[spectrum].aligned:
             lent = None if lender is None else lender.size
             _check_borrowed_camera(spectrum, files.leading, shot, exposure.size, lent, listing.registered, root)
-        views[spectrum] = _view(spectrum, shot, exposure, lines[spectrum], data_factor, lens)
+        views[spectrum] = _view(spectrum, shot, exposure, lines[spectrum], size, lens)
     return Frame(files.name, views)
 
 
@@ -324,7 +326,7 @@ def _view(
     shot: Shot,
     exposure: SpectrumPixels | UnreadPixels,
     readout: Readout | None,
-    data_factor: int,
+    size: TrainedSize,
     lens: LensUse,
 ) -> View:
     width, height = exposure.size
@@ -338,12 +340,12 @@ def _view(
         )
     else:
         taken_by = rectified_camera(shot.lens, width, height)
-    camera = shrunk(taken_by, data_factor)
+    camera = size.shrunk(taken_by)
     if min(camera.width, camera.height) < LEAST_SIDE:
         raise UserError(
-            f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {data_factor}; "
-            f"images must be at least {LEAST_SIDE} px wide and high.",
-            "Give a smaller --data-factor.",
+            f"{shot.path.name} has {camera.width}x{camera.height} px with --data-factor {size.factor} and --image-size "
+            f"{size.longest}; images must be at least {LEAST_SIDE} px wide and high.",
+            "Give a smaller --data-factor or a larger --image-size.",
         )
     about = spectrum, shot.path.stem, shot.path, camera, shot.viewmat
     straightened_from = None if lens == "direct" else shot.lens

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import Camera, camera_center
+from thermosplat.datasets.geo_file import GeoFrame
 from thermosplat.datasets.images.image_folders import looked_for
 from thermosplat.datasets.images.pixel_meaning import SpectrumPixels
 from thermosplat.datasets.placement import WORLD, Placement
@@ -127,6 +128,7 @@ class Capture:
         spectra: The spectra that were looked for.
         on_disk: Where pixels stay on the disk, what images may take in memory; None: all are in memory.
         placement: Where the scene, whose frame poses and points have, lies in the world of the folder's own poses.
+        geo: Where that world lies on the Earth; None: the folder does not say.
     """
 
     name: str
@@ -142,6 +144,7 @@ class Capture:
     spectra: Mapping[str, SpectrumConfig] = field(default_factory=lambda: dict(DEFAULT_SPECTRA))
     on_disk: ImagesOnDisk | None = None
     placement: Placement = WORLD
+    geo: GeoFrame | None = None
 
     def __repr__(self) -> str:
         frames = (*self.train, *self.test)

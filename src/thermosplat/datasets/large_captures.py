@@ -10,6 +10,7 @@ from typing import overload
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.host_memory import host_memory
+from thermosplat.datasets.image_size import TrainedSize
 from thermosplat.datasets.images.image_bytes import FileStamp, ImageHeader, read_header
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.images.pixel_meaning import PixelMeaning, SpectrumFile
@@ -60,20 +61,27 @@ class Headers:
         with ThreadPoolExecutor() as pool:
             self._found = dict(zip(paths, pool.map(_header_if_any, paths)))
 
-    def taken_at_once(self, frames: Sequence[FrameFiles], data_factor: int) -> int:
+    def sizes(self, frames: Sequence[FrameFiles]) -> list[tuple[Path, int, int]]:
+        """File, width and height [px] of each exposure that can be read."""
+        shots = [shot for frame in frames for shot in frame.shots.values()]
+        found = [(shot.path, self._found[shot.path][0]) for shot in shots if shot.path in self._found]
+        return [(path, header.width, header.height) for path, header in found if header is not None]
+
+    def taken_at_once(self, frames: Sequence[FrameFiles], size: TrainedSize) -> int:
         """Memory that the images of all frames take while they are read, and as views [bytes]; of files that cannot be
         read nothing.
 
         Args:
             frames: The frames.
-            data_factor: What the images' sides are divided by.
+            size: What makes images smaller.
         """
         total = 0
         for shot in (shot for frame in frames for shot in frame.shots.values()):
             found = [header for path in shot.images if (header := self._found[path][0]) is not None]
             total += sum(header.decoded_bytes for header in found)
             radiometric = any(header.is_radiometric or header.channels == 1 for header in found)
-            pixels = max((header.width * header.height for header in found), default=0) / data_factor**2
+            shown = [(header.width, header.height) for header in found]
+            pixels = max((width * height / size.divisor(width, height) ** 2 for width, height in shown), default=0.0)
             masked = shot.mask is not None or any(header.has_alpha for header in found)
             total += int(pixels * ((_VALUES_BYTES if radiometric else 3) + masked))
         return total

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,6 +18,7 @@ from thermosplat.config.temperature_settings import TemperatureSettings, read_la
 from thermosplat.datasets import capture_of
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.datasets.geo_file import GeoFrame, read_geo
 from thermosplat.errors import UserError
 from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.refinement.camera_corrections import CameraCorrections
@@ -76,6 +78,15 @@ class LoadedRun:
         in_scene = self.model.placement.viewmat_to_scene(viewmat)
         viewmat_, K_ = (torch.as_tensor(matrix, dtype=torch.float32, device=self.device) for matrix in (in_scene, K))
         return ViewTensors(viewmat_, K_, width, height)
+
+    @cached_property
+    def geo(self) -> GeoFrame | None:
+        """Where the world of its capture lies on the Earth, as the capture said when it was trained on.
+
+        Raises:
+            UserError: geo.json in the result folder is damaged.
+        """
+        return read_geo(self.directory.path)
 
     def capture(self, data: str | None) -> Capture:
         """The capture it was trained on, with the cameras that training has corrected.

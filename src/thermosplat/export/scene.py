@@ -15,12 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.errors import UserError
+from thermosplat.export.export_frame import ExportFrame
 from thermosplat.export.formats.ply import write_splats
-from thermosplat.export.origin_file import origin_text, write_origin
 from thermosplat.export.splat_rendering import OTHERS
-from thermosplat.export.splats import Splats, WrittenSplats, in_world
+from thermosplat.export.splats import Splats, WrittenSplats
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import label
 from thermosplat.thermal.intensity import palette_colors, pixel_intensity
@@ -56,17 +55,25 @@ def export_scene(
     Raises:
         UserError: A spectrum that is asked for but not modelled.
     """
-    return write_scene(scene_splats(model, scales, spectra), folder, compact=compact, placement=model.placement)
+    return write_scene(
+        scene_splats(model, scales, spectra), folder, compact=compact, frame=ExportFrame(model.placement)
+    )
 
 
 def scene_splats(
-    model: SceneModel, scales: Scales, spectra: Iterable[str] | None = None, *, colors: Colors = "palette"
+    model: SceneModel,
+    scales: Scales,
+    spectra: Iterable[str] | None = None,
+    *,
+    colors: Colors = "palette",
+    frame: ExportFrame | None = None,
 ) -> SceneSplats:
-    """What :func:`write_scene` writes."""
+    """What :func:`write_scene` writes, in the frame of the files; None: in that of the capture."""
+    frame = frame or ExportFrame(model.placement)
     return {
         name: (
-            in_world(spectrum_splats(model, name, scales, colors=colors), model.placement),
-            [*header_comments(model, name, scales[name], colors=colors), *_about_footprints(model)],
+            frame.splats(spectrum_splats(model, name, scales, colors=colors)),
+            [*header_comments(model, name, scales[name], frame, colors=colors), *_about_footprints(model)],
         )
         for name in (model.spectra if spectra is None else spectra)
     }
@@ -84,7 +91,7 @@ def write_scene(
     *,
     compact: bool = False,
     scalars: Mapping[str, Mapping[str, Tensor]] | None = None,
-    placement: Placement = WORLD,
+    frame: ExportFrame,
 ) -> dict[str, WrittenSplats]:
     """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model.
 
@@ -93,14 +100,14 @@ def write_scene(
         folder: Where.
         compact: As ``formats.ply.write_splats``.
         scalars: Further properties by spectrum (``formats.ply.write_splats``).
-        placement: Where the scene lies in the world; an origin is told in a file beside the others.
+        frame: Where positions count from; an origin is told in a file beside the others.
     """
 
     def write(name: str) -> WrittenSplats:
         further = None if scalars is None else scalars[name]
         return write_splats(folder / f"splat_{name}.ply", *scene[name], compact=compact, scalars=further)
 
-    write_origin(folder, placement)
+    frame.write(folder)
     with ThreadPoolExecutor() as threads:
         writing = {name: threads.submit(write, name) for name in scene}
     return {name: file.result() for name, file in writing.items()}
@@ -162,18 +169,19 @@ def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
     return torch.as_tensor(scales[name].value(pixel_intensity(image, scales[name])))
 
 
-def header_comments(model: SceneModel, name: str, scale: PixelScale, *, colors: Colors = "palette") -> list[str]:
+def header_comments(
+    model: SceneModel, name: str, scale: PixelScale, frame: ExportFrame, *, colors: Colors = "palette"
+) -> list[str]:
     """What a file says about its splats: the spectrum, its palette and range, how exact its colours are.
 
     Args:
         model: The trained scene.
         name: The spectrum.
         scale: What its pixel values mean.
+        frame: Where positions count from.
         colors: How it is shown.
     """
-    comments = [f"thermosplat {name}"]
-    if model.placement.is_moved:
-        comments.append(f"origin {origin_text(model.placement)}: to be added to positions for those of the capture")
+    comments = [f"thermosplat {name}", *frame.comments()]
     exact = model.formations[name].exact_splats
     if not exact:
         comments.append("colors approximate the model, which decodes features per pixel, after blending")

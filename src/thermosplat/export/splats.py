@@ -94,7 +94,7 @@ def in_world(splats: Splats, placement: Placement) -> Splats:
     """Gaussians of a scene as files have them: in world units, from the scene's origin.
 
     Far from the world's origin float32 has no digits for them. There the scene's origin is subtracted from the world's
-    coordinates, and ``origin_file`` says so.
+    coordinates, and ``export_frame`` says so.
 
     Args:
         splats: In the scene's frame.

@@ -1,6 +1,6 @@
 """Images of a trained scene along a camera path."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, get_args
 
@@ -20,12 +20,15 @@ from thermosplat.pictures.image_display import Image8, rgb_bytes, spectrum_bytes
 from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
 from thermosplat.spectra import listed, unit_label
+from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 PathName = Literal["interp", "ellipse", "spiral", "train", "test"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
 
+LEAST_COVER = 0.9
+"""Values that Gaussians cover less are mixed with the black behind, as in maps."""
 _PATHS = {"interp": interpolated_path, "ellipse": ellipse_path, "spiral": spiral_path}
 
 
@@ -133,6 +136,7 @@ def rendered_images(
     title: str = "",
     temperatures: SceneTemperatures | None = None,
     ranges: Mapping[str, tuple[float, float] | None] | None = None,
+    measured: Callable[[int, str, NDArray[np.float32]], None] | None = None,
 ) -> Iterator[Image8]:
     """Render viewpoints one after the other, as images to look at.
 
@@ -148,6 +152,8 @@ def rendered_images(
             pixels that are not are hatched.
         ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales. Recalculated
             temperatures have their own.
+        measured: Takes the number of each viewpoint, the name of each measured spectrum and its values [H, W] in its
+            unit, recalculated as the pictures are; NaN where Gaussians cover less than 90%.
 
     Yields:
         8-bit RGB [H, W, 3].
@@ -160,6 +166,10 @@ def rendered_images(
         names = [name for name in model.spectra if name in rendered.images]
         if not names:
             continue
+        for name in names:
+            if measured is not None and scales[name].kind != "photograph" and scales[name].measured_unit is not None:
+                image, view = rendered.images[name], point.views[name]
+                measured(index, name, _values(name, image, rendered.alphas[name], view, scales[name], temperatures))
         spans = {} if ranges is None or (temperatures is not None and temperatures.text) else ranges
         images = [
             _picture(name, rendered.images[name], point.views[name], scales[name], temperatures, spans.get(name))
@@ -167,9 +177,9 @@ def rendered_images(
         ]
         picture = arranged(images, layout, index / max(1, len(points) - 1))
         if color_bar or title:
-            measured = [name for name in names if color_bar and scales[name].measured_unit is not None]
-            units = [unit_label(scales[name].measured_unit or "") for name in measured]
-            shown_scales = [replace(scales[name], range=spans.get(name) or scales[name].range) for name in measured]
+            barred = [name for name in names if color_bar and scales[name].measured_unit is not None]
+            units = [unit_label(scales[name].measured_unit or "") for name in barred]
+            shown_scales = [replace(scales[name], range=spans.get(name) or scales[name].range) for name in barred]
             picture = with_legend(picture, shown_scales, units, title)
         yield picture
 
@@ -190,6 +200,22 @@ def _picture(
     shares = (made.values.cpu().numpy() - low) / max(high - low, 1e-12)
     picture = rgb_bytes(scale.palette.to_color(shares))
     return picture if made.changed is None else hatched(picture, ~made.changed)
+
+
+def _values(
+    name: str,
+    image: Tensor,
+    alphas: Tensor,
+    view: ViewTensors,
+    scale: PixelScale,
+    temperatures: SceneTemperatures | None,
+) -> NDArray[np.float32]:
+    """Measured values [H, W] of a rendered image [H, W, C], recalculated where that is asked for."""
+    if temperatures is not None and temperatures.recalculates(name):
+        values = temperatures.of_image(name, image, view).values.to(alphas)
+    else:
+        values = scale.value(pixel_intensity(image.clamp(0, 1), scale))
+    return torch.where(alphas[..., 0] >= LEAST_COVER, values, torch.nan).cpu().numpy().astype(np.float32)
 
 
 def _viewpoint(frame: Frame, shown: Collection[str], device: torch.device | str) -> Viewpoint:

@@ -80,6 +80,11 @@ def write_png(path: Path, image: Image8) -> None:
     write_bytes(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
 
 
+def write_values(path: Path, values: NDArray[np.float32]) -> None:
+    """Write measured values [H, W] as a TIFF of 32-bit floats; the file appears at once and whole."""
+    write_bytes(path, cv2.imencode(".tiff", values)[1].tobytes())
+
+
 def side_by_side(images: Sequence[Image8]) -> Image8:
     """Images beside each other; they are scaled to the height of the first where theirs differ.
 

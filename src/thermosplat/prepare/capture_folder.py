@@ -8,6 +8,7 @@
       pairs.csv                    which thermal image was taken with which photograph
       calibration.json             lenses and the pose between the cameras, where a board was seen
       sparse/0/                    the COLMAP model: the photographs, then the thermal camera as part of a rig
+      geo.json                     where the model lies on the Earth, if GPS says so
       train.yaml                   settings that ``thermosplat-train CAPTURE`` starts from
       check/                       a contact sheet and a page to look at
       prepared/<step>.json         one file per finished step
@@ -22,6 +23,7 @@ from dataclasses import Field, dataclass, fields
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar, get_args
 
+from thermosplat.datasets.geo_file import GEO_FILE
 from thermosplat.errors import UserError
 from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_bytes
@@ -150,6 +152,11 @@ class CaptureFolder:
     def sparse(self) -> Path:
         """Folder of the COLMAP model."""
         return self.root / "sparse" / "0"
+
+    @property
+    def geo_json(self) -> Path:
+        """Where the model lies on the Earth."""
+        return self.root / GEO_FILE
 
     @property
     def train_yaml(self) -> Path:

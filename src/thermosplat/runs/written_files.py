@@ -14,7 +14,7 @@ from thermosplat.runs.atomic_writes import check_is_no_link, is_temporary, sweep
 
 TENSORBOARD_SUFFIX = ".thermosplat"
 """At the end of our event files' names, by which they are told from those of other trainers."""
-FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json")
+FILES = ("config.yaml", "metrics.json", "metrics.jsonl", "regions.json", "environment.json", "geo.json")
 """What lies in the result folder itself."""
 PAGE, PAGE_MARK = "index.html", "<!-- results of thermosplat -->"
 """The page of a result folder, and what tells it from other pages of that name."""
@@ -33,7 +33,7 @@ _WRITTEN = {
     "stats": rf"step_\d{{6,}}\.json|per_view\.csv|(eval|regions)_{_ON_CAPTURE}\.(json|csv)",
     "renders": rf"eval_{_ON_CAPTURE}",
     "ply": rf"splat_{_SPECTRUM}\.ply|geo\.json",
-    "exports": rf"(splat|points|mesh|orthomosaic)_{_SPECTRUM}\.(compressed\.ply|ply|spz|sog|glb|usd|tif)|geo\.json",
+    "exports": rf"(splat|points|mesh|orthomosaic)_{_SPECTRUM}\.(compressed\.ply|ply|spz|sog|glb|usd|tif|las)|geo\.json",
     "videos": rf"(interp|ellipse|spiral|train|test|bookmarks)(-wipe|-inset)?_{_SPECTRUM}(-{_SPECTRUM})*_{_ON_CAPTURE}",
     "refined": r"(cameras|images|points3D)\.txt",
     "tb": rf"events\.out\.tfevents\..*{re.escape(TENSORBOARD_SUFFIX)}",
@@ -56,7 +56,7 @@ def delete_run(run: Path) -> None:
     for name in _WRITTEN:
         for entry in _entries(run / name):
             if _is_ours(name, entry) and entry.is_dir() and not entry.is_symlink():
-                for picture in entry.glob("*.png"):
+                for picture in (*entry.glob("*.png"), *entry.glob("*.tiff")):
                     picture.unlink()
                 sweep(entry)
                 _remove_if_empty(entry)

@@ -21,6 +21,7 @@ import torch
 from thermosplat.config import TrainConfig
 from thermosplat.config.run_schedule import run_schedule, steps_note
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.geo_file import GEO_FILE
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError
 from thermosplat.errors import UserError
@@ -333,6 +334,8 @@ class Trainer:
         self.run.sweep()
         self.run.write_config(self.asked)
         self.run.write_environment(self.device)
+        if self.capture.geo is not None:
+            self.run.write_json(self.run.path / GEO_FILE, self.capture.geo.content())
         evaluates = self.state.step == self.config.max_steps or self.results.lack_evaluation()
         self.logger.start(self.state.step, evaluates=evaluates)
         for line in first_words:

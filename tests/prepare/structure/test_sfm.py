@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,11 +10,12 @@ import numpy as np
 import pycolmap
 import pytest
 
+from flown_model import ORIGIN, rows_at
 from seen_room import SeenRoom, seen_room, write_room
+from thermosplat.datasets.geo_file import read_geo
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import CaptureFolder
 from thermosplat.prepare.structure import sfm
-from thermosplat.prepare.structure.matching import chosen_pairs
 from thermosplat.prepare.structure.sfm import run_sfm
 
 
@@ -69,7 +71,7 @@ def test_a_killed_step_goes_on(
     """Features that were found before are not looked for again; nothing half-done is called complete."""
     capture = copied(room[1], tmp_path / "capture")
 
-    def killed(database: Path) -> None:
+    def killed(database: Path, places: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -127,10 +129,24 @@ def test_photographs_without_texture_make_no_model(room: tuple[SeenRoom, Capture
     assert not capture.sparse.exists()
 
 
-def test_many_photographs_are_matched_with_their_neighbours() -> None:
-    """All pairs of a few; of 300, a number that grows with the photographs and not with their square."""
-    assert len(chosen_pairs(range(40))) == 780
-    many = chosen_pairs(range(300))
-    assert len(many) < 300 * 25
-    assert {(0, 1), (0, 20), (0, 256), (298, 299)} <= set(many)
-    assert len(set(many)) == len(many)
+def test_photographs_with_gps_are_in_metres(room: tuple[SeenRoom, CaptureFolder], tmp_path: Path) -> None:
+    """The room ten times as large, somewhere on the Earth: cameras lie where GPS has them, and geo.json says where."""
+    truth, capture = room[0], copied(room[1], tmp_path / "capture")
+    places = 10.0 * np.linalg.inv(truth.viewmats)[:, :3, 3]
+    rows = [
+        replace(placed, spectrum="rgb", file=row.file, source=row.source, width=row.width, height=row.height)
+        for row, placed in zip(capture.read_frames("rgb"), rows_at(places, rtk_flag=[50] * 12))
+    ]
+    capture.write_frames(rows)
+    said = " ".join(run_sfm(capture).sentences)
+    geo = read_geo(capture.root)
+    assert geo is not None
+    assert geo.residual < 0.1
+    assert "12 cameras lie 0.0" in said
+    centres = np.array([np.linalg.inv(pose)[:3, 3] for _, pose in sorted(poses(capture).items())])
+    degrees = pycolmap.GPSTransform().enu_to_ellipsoid(centres, geo.latitude, geo.longitude, geo.altitude)
+    found = pycolmap.GPSTransform().ellipsoid_to_enu(degrees, *ORIGIN)
+    np.testing.assert_allclose(found, places, atol=0.1)
+    capture.write_frames([replace(row, latitude=None) for row in rows])
+    run_sfm(capture)
+    assert not capture.geo_json.exists()  # it would be of another model

@@ -1,10 +1,13 @@
 """What a training makes of its model, in the middle and at the end."""
 
+import dataclasses
+import json
 from pathlib import Path
 
 import pytest
 
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.geo_file import GeoFrame, read_geo
 from toy_run import many_frames, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
@@ -43,3 +46,14 @@ def test_strips_and_numbers_per_view_are_of_the_end(tmp_path: Path, capture: Cap
     assert metrics["steps"] == 4
     assert metrics["rgb"] == judged.metrics["rgb"]
     assert run.metrics_json.is_file()
+
+
+def test_a_run_keeps_where_its_capture_lies(tmp_path: Path, capture: Capture) -> None:
+    """geo.json in the result folder is the capture's; the splats that training writes lie in UTM from the origin."""
+    geo = GeoFrame(47.0512, 8.3064, 452.0, 0.8, 4)
+    trainer = toy_trainer(tmp_path, toy_run_config(max_steps=1), dataclasses.replace(capture, geo=geo))
+    trainer.train()
+    assert read_geo(tmp_path) == geo
+    told = json.loads((tmp_path / "ply" / "geo.json").read_text())
+    assert told["origin"] == [447_319.0, 5_211_087.0, 452.0]
+    assert told["epsg"] == 32632

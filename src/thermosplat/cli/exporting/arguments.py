@@ -11,11 +11,11 @@ from thermosplat.config.temperature_settings import TemperatureSettings
 class ExportArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArguments):
     """Write a trained run for other programs, one file for each spectrum: splat_rgb.ply, splat_thermal.ply, ..."""
 
-    format: Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd", "points", "mesh", "orthomosaic"] = "ply"
+    format: Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd", "points", "las", "mesh", "orthomosaic"] = "ply"
     """Splats: PLY of the original 3D Gaussian Splatting; PlayCanvas's compressed PLY and SOG; Niantic's SPZ; glTF with
     KHR_gaussian_splatting; OpenUSD (needs usd-core). docs/exports.md says which program opens which. Surfaces
-    from rendered depth with measured values, as PLY: points, mesh (needs scikit-image). A map from above:
-    orthomosaic, a GeoTIFF of colours or of measured values (needs rasterio)."""
+    from rendered depth with measured values: points and mesh as PLY (mesh needs scikit-image), points as LAS (needs
+    laspy). A map from above: orthomosaic, a GeoTIFF of colours or of measured values (needs rasterio)."""
     output: str | None = None
     """Folder for the files. None: in the result folder, ply/ for PLY and exports/ for the others."""
     fit_passes: int | None = None
@@ -31,12 +31,12 @@ class ExportArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArgumen
     """PLY: also write what each Gaussian measures, as scalar_<spectrum>_<unit>, which CloudCompare shows as a scalar
     field. Some viewers want the original properties and no more."""
     points: int = 1_000_000
-    """Points: at most so many."""
+    """Points, LAS: at most so many."""
     voxel: float | None = None
     """Mesh: side of a voxel [world units]. None: 1/256 of the scene's longest side."""
     gsd: float | None = None
-    """Map: side of a pixel on the ground, in metres where the capture has GPS, else in world units. None: a thousandth
-    of the map's longer side."""
+    """Map: side of a pixel on the ground, in metres where the capture lies on the Earth, else in world units. None: a
+    thousandth of the map's longer side."""
     extent: tuple[float, float, float, float] | None = None
     """Map: west, south, east and north of what it shows. None: what the capture saw."""
     top: float | None = None

@@ -26,7 +26,8 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
     """
     import numpy as np
 
-    from thermosplat.export.maps.georeference import georeferenced_frame
+    from thermosplat.export.export_frame import ExportFrame
+    from thermosplat.export.maps.georeference import georeferenced_frame, located_frame
     from thermosplat.export.maps.geotiff import rasterio_module
     from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
     from thermosplat.export.maps.orthomosaic import MapGrid, render_map, write_map
@@ -38,7 +39,9 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
     temperatures = asked_temperatures(arguments, loaded, capture)
     names = arguments.chosen(list(loaded.model.spectra))
     leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
-    frame = georeferenced_frame(capture, leading) if arguments.up is None else None
+    geo, frame = loaded.geo or capture.geo, None
+    if arguments.up is None:
+        frame = georeferenced_frame(capture, leading) if geo is None else located_frame(geo, capture.placement)
     if frame is None:
         frame = local_frame(capture, leading, arguments.up)
         print(f"The map is in local coordinates, in world units. {frame.note}")
@@ -62,3 +65,5 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
         unit += ", recalculated" if recalculated else ""
         covered = np.isfinite(picture[0]).mean()
         print(f"{path}: {grid.width:,} x {grid.height:,} pixels of {pixel:.4g}, {unit}, {covered:.0%} covered")
+    if geo is not None and arguments.up is None:
+        ExportFrame(capture.placement, geo).write(folder)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from thermosplat.cli.exporting.arguments import ExportArguments
     from thermosplat.datasets.frame_tensors import ViewTensors
     from thermosplat.evaluation.loaded_run import LoadedRun
+    from thermosplat.export.export_frame import ExportFrame
     from thermosplat.export.scene import SceneSplats
     from thermosplat.novel_views.viewpoints import PathName
 
@@ -28,11 +29,12 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
     Raises:
         UserError: The arguments, the capture or the format do not allow it.
     """
+    from thermosplat.export.export_frame import ExportFrame
     from thermosplat.export.formats.splat_formats import SPLAT_FORMATS, Described, write_format
-    from thermosplat.export.origin_file import write_origin
     from thermosplat.export.scene import write_scene
 
-    scene, sources = _scene(arguments, loaded)
+    frame = ExportFrame(loaded.model.placement, loaded.geo)
+    scene, sources = _scene(arguments, loaded, frame)
     if arguments.format == "ply":
         scalars = None
         if arguments.values:
@@ -41,14 +43,14 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
                 raise UserError("No spectrum of this run has a unit, so nothing is measured.", "Leave --values out.")
             values = _values(arguments, loaded, measured)
             scalars = {name: {scalar: of_each[sources[name]] for scalar, of_each in values.items()} for name in scene}
-        written = write_scene(scene, folder, compact=arguments.compact, scalars=scalars)
+        written = write_scene(scene, folder, compact=arguments.compact, scalars=scalars, frame=frame)
     else:
         format = next(name for name in SPLAT_FORMATS if name == arguments.format)
         written = {
             name: write_format(format, folder, Described(splats, name, comments))
             for name, (splats, comments) in scene.items()
         }
-    for line in write_origin(folder, loaded.model.placement):
+    for line in frame.write(folder):
         print(line)
     for file in written.values():
         dropped = f", {file.num_dropped:,} invisible or broken ones left out" if file.num_dropped else ""
@@ -84,18 +86,19 @@ def _values(arguments: "ExportArguments", loaded: "LoadedRun", measured: dict[st
     return values
 
 
-def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
+def _scene(
+    arguments: "ExportArguments", loaded: "LoadedRun", frame: "ExportFrame"
+) -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
     """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of."""
     from thermosplat.export.scene import scene_splats
 
     names = arguments.chosen(list(loaded.model.spectra))
     if all(loaded.model.formations[name].exact_splats for name in names) or arguments.fit_passes == 0:
-        unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors)
+        unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.cli.exporting.fit_progress import shown_steps
     from thermosplat.export.scene import header_comments
     from thermosplat.export.splat_fit.fitted_splats import fit_splats
-    from thermosplat.export.splats import in_world
     from thermosplat.novel_views.viewpoints import viewpoints
 
     try:
@@ -126,6 +129,6 @@ def _scene(arguments: "ExportArguments", loaded: "LoadedRun") -> "tuple[SceneSpl
         )
         print(f"{name}: {fit.after:.2f} dB from the exact render, {fit.before:.2f} dB before the fit")
         sources[name] = fit.sources
-        comments = header_comments(loaded.model, name, loaded.scales[name], colors=arguments.colors)
-        scene[name] = (in_world(fit.splats, loaded.model.placement), comments)
+        comments = header_comments(loaded.model, name, loaded.scales[name], frame, colors=arguments.colors)
+        scene[name] = (frame.splats(fit.splats), comments)
     return scene, sources

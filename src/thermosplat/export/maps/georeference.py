@@ -1,4 +1,4 @@
-"""Where a capture lies on the Earth: its cameras' GPS positions, and the similarity that brings its world there."""
+"""The frame of a map on the Earth: by geo.json of a capture, or of one without, by its cameras' GPS positions."""
 
 import csv
 import io
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.geo_file import GeoFrame
+from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
 from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.regular_files import read_regular
@@ -49,6 +51,18 @@ def gps_positions(capture: Capture, spectrum: str) -> dict[str, tuple[float, flo
         for file, (latitude, longitude, altitude) in found.items()
         if abs(latitude) <= 84 and abs(longitude) <= 180  # UTM ends at 84°
     }
+
+
+def located_frame(geo: GeoFrame, placement: Placement) -> MapFrame:
+    """The map frame of a capture that says where its world lies.
+
+    Args:
+        geo: What it says.
+        placement: Where the scene lies in the world.
+    """
+    note = f"EPSG:{geo.epsg}; {geo.cameras} cameras lie {geo.residual:.2f} m from where GPS has them, in the median."
+    offset = geo.to_utm(np.array(placement.origin))
+    return MapFrame(geo.rotation, geo.scale * placement.unit, offset, f"EPSG:{geo.epsg}", note)
 
 
 def georeferenced_frame(capture: Capture, spectrum: str) -> MapFrame | None:

@@ -39,7 +39,7 @@ def write_geotiff(
     unit: str | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a float32 GeoTIFF, compressed without loss; pixels without data are NaN.
+    """Write a float32 cloud-optimised GeoTIFF, compressed without loss; pixels without data are NaN.
 
     Args:
         path: The file, ``*.tif``.
@@ -60,7 +60,7 @@ def write_geotiff(
         with rasterio.open(
             temporary,
             "w",
-            driver="GTiff",
+            driver="COG",  # tiles, and smaller copies for a view from afar
             width=width,
             height=height,
             count=count,
@@ -69,8 +69,8 @@ def write_geotiff(
             transform=transform,
             nodata=float("nan"),
             compress="deflate",
-            predictor=3,
-            photometric="minisblack",
+            predictor="yes",
+            overview_resampling="average",
         ) as file:
             file.write(bands)
             file.update_tags(**(tags or {}))

@@ -1,11 +1,13 @@
 """What a capture has, and what may go wrong: in sentences, as a contact sheet and as one page."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2  # noqa: F401  before pycolmap, see datasets/lens.py
 import numpy as np
+import pycolmap
 import yaml
 from numpy.typing import NDArray
 
@@ -18,6 +20,7 @@ from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
 from thermosplat.prepare.checking.findings import Finding, msx_findings, texture_findings, thermal_findings
 from thermosplat.prepare.checking.plane_warp import PlaneWarp, read_warps
+from thermosplat.prepare.checking.point_levels import PointLevels, point_levels
 from thermosplat.prepare.checking.sensor_orientation import find_orientation, orientation_as_registered
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.progress import tracked
@@ -69,7 +72,7 @@ def _check(capture: CaptureFolder) -> list[str]:
     pairs = capture.read_pairs() if capture.pairs_csv.exists() else []
     findings = [*_counts(capture, pairs), *_model_findings(capture)]
     images, unit = _thermal_values(capture)
-    findings += thermal_findings(images, unit)
+    findings += thermal_findings(images, unit, _levels(capture, images))
     photographs = capture.read_frames(LEADING)
     chosen = photographs[:_MOST_PHOTOGRAPHS]
     read = {one.file: _photograph(capture, one.file) for one in tracked(chosen, "looking at photographs", len(chosen))}
@@ -172,6 +175,13 @@ def _thermal_values(capture: CaptureFolder) -> tuple[dict[str, NDArray[Any]], st
         celsius = to_measured(image, unit)
         images[one.file] = image if celsius is None else celsius
     return images, "counts" if unit == COUNTS else "°C"
+
+
+def _levels(capture: CaptureFolder, images: Mapping[str, NDArray[Any]]) -> PointLevels | None:
+    """The levels of thermal images whose camera is registered."""
+    if not images or not (capture.sparse / "rigs.bin").exists():
+        return None
+    return point_levels(pycolmap.Reconstruction(capture.sparse), images)
 
 
 def _pair_findings(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Finding]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.images.msx import msx_notes
+from thermosplat.prepare.checking.point_levels import PointLevels
 from thermosplat.prepare.counted import agreeing, counted
 
 Level = Literal["fact", "warning"]
@@ -25,6 +26,11 @@ _DEAD_STEPS = 8.0
 """How many times further from its neighbours than pixels are in the median a dead pixel lies, in most images."""
 _DEAD_SHARE = 0.1
 """Share of the image's range that it lies from them at least; small objects may lie nearer."""
+_VISIBLE_DRIFT = 0.01
+"""Share of the scene's own spread below which drift is not worth learning: a level of a palette has 0.4%, and the
+spread is a quarter of the palette's span or less. Open choice."""
+_SURE = 3.0
+"""Standard deviations of a level that its drift must exceed."""
 DRIFT_SHARE = 0.25
 """Share of the scene's own spread that the level of images may vary by, before it is called drift."""
 
@@ -44,12 +50,15 @@ class Finding:
     recommends: Mapping[str, Any] = field(default_factory=dict)
 
 
-def thermal_findings(images: Mapping[str, NDArray[Any]], unit: str | None) -> list[Finding]:
+def thermal_findings(
+    images: Mapping[str, NDArray[Any]], unit: str | None, levels: PointLevels | None = None
+) -> list[Finding]:
     """Ranges, constant images, dead pixels and drift of thermal images.
 
     Args:
         images: [H, W] values by name, in °C where ``unit`` is "°C".
         unit: What to write after the values; None for pictures in colour, of which nothing is said.
+        levels: The images' levels as points say; None: they are judged by the images' medians.
     """
     if unit is None or not images:
         return []
@@ -82,7 +91,9 @@ def thermal_findings(images: Mapping[str, NDArray[Any]], unit: str | None) -> li
         )
     alive = [image for name, image in images.items() if name not in constant]
     drift, spread = level_drift(alive) if alive else (0.0, 0.0)
-    if drift > DRIFT_SHARE * spread and len(alive) >= 5:
+    if levels is not None:
+        found += _drift_of_points(levels, spread, unit)
+    elif drift > DRIFT_SHARE * spread and len(alive) >= 5:
         found.append(
             Finding(
                 "warning",
@@ -93,6 +104,22 @@ def thermal_findings(images: Mapping[str, NDArray[Any]], unit: str | None) -> li
             )
         )
     return found
+
+
+def _drift_of_points(levels: PointLevels, spread: float, unit: str) -> list[Finding]:
+    """Of a drift that is larger than chance and than what nobody sees."""
+    if levels.drift <= max(_SURE * levels.deviation, _VISIBLE_DRIFT * spread):
+        return []
+    digits = 2 if unit == "°C" else 0
+    return [
+        Finding(
+            "fact",
+            f"The level of thermal images drifts by {levels.drift:,.{digits}f} {unit} (standard deviation; "
+            f"{counted(levels.points, 'point')} that several images see tell it). Training learns the level of each "
+            "image, as train.yaml recommends, and holds their mean.",
+            {"spectra": {"thermal": {"exposure": "level"}}},
+        )
+    ]
 
 
 def count_dead_pixels(images: Sequence[NDArray[Any]]) -> int:

@@ -117,9 +117,11 @@ def _register(capture: CaptureFolder) -> list[str]:
         found = _from_the_scene(capture, edges, fields)
         said: list[str] = []
     else:
-        found, scale = _from_a_board(calibration, edges, fields, width, height)
-        model.transform(pycolmap.Sim3d(1 / scale, pycolmap.Rotation3d(), np.zeros(3)))
-        said = [f"Lengths are in metres: one unit of the photographs' model was {1 / scale:.4g} m."]
+        metric = capture.geo_json.exists()
+        found, scale = _from_a_board(calibration, edges, fields, width, height, 1.0 if metric else None)
+        if not metric:
+            model.transform(pycolmap.Sim3d(1 / scale, pycolmap.Rotation3d(), np.zeros(3)))
+        said = [] if metric else [f"Lengths are in metres: one unit of the photographs' model was {1 / scale:.4g} m."]
         pose = calibration.thermal_from_rgb
         found_in_metres = RigCamera(pose[:3, :3], pose[:3, 3], found.camera.lens, width, height)
         found = Alignment(found_in_metres, found.deviations, found.frames)
@@ -203,7 +205,12 @@ def _parallax(camera: RigCamera, edges: EdgePoints) -> float:
 
 
 def _from_a_board(
-    calibration: RigCalibration, edges: EdgePoints, fields: Sequence[NDArray[np.float32]], width: int, height: int
+    calibration: RigCalibration,
+    edges: EdgePoints,
+    fields: Sequence[NDArray[np.float32]],
+    width: int,
+    height: int,
+    known_scale: float | None,
 ) -> tuple[Alignment, float]:
     """The calibrated camera in the units of the photographs' model, and how many of these a metre has."""
     lens = calibration.thermal
@@ -215,6 +222,9 @@ def _from_a_board(
         )
     pose = calibration.thermal_from_rgb
     start = RigCamera(pose[:3, :3], np.zeros(3), np.array(lens.params), width, height)
+    if known_scale is not None:
+        in_place = RigCamera(start.rotation, known_scale * pose[:3, 3], start.lens, width, height)
+        return align(in_place, edges, fields, stages=[]), known_scale
     free = align(start, edges, fields, stages=[_TRANSLATION])
     baseline = pose[:3, 3]
     scale = float(free.camera.translation @ baseline / (baseline @ baseline))

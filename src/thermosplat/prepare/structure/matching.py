@@ -3,25 +3,25 @@
 Everything is done in small lots, so that a killed process loses one lot only.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import combinations
 from pathlib import Path
 from typing import TypeVar
 
 import cv2  # noqa: F401  before pycolmap, see datasets/lens.py
+import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
 from thermosplat.prepare.capture_folder import FrameRow
 from thermosplat.prepare.progress import progress_bar
+from thermosplat.prepare.structure.likeness import likeness
+from thermosplat.prepare.structure.pairs import chosen_pairs
 
 MAX_FEATURES = 4096
 """Per photograph; half of COLMAP's default, which quarters the time of matching."""
 MAX_SIDE = 2000
 """Larger photographs are matched at this size [px]."""
-ALL_PAIRS_UP_TO = 120
-"""From this many photographs on, only neighbours in the order of their names are matched."""
-NEIGHBOURS = 20
 _LOT_OF_PHOTOGRAPHS, _LOT_OF_PAIRS = 8, 64
 _RGB = "rgb/"
 
@@ -98,19 +98,24 @@ def extract(database: Path, images: Path) -> None:
             advance(len(lot))
 
 
-def match(database: Path) -> None:
+def match(database: Path, places: Mapping[str, NDArray[np.float64]]) -> None:
     """Match the photographs and verify the matches, where that has not been done yet.
 
     Args:
         database: The database with features.
+        places: East, north, up [m] of photographs whose position is known, by file, [3] each.
     """
     with opened(database) as connection:
         names = {
             image.image_id: image.name
-            for image in connection.read_all_images()
+            for image in sorted(connection.read_all_images(), key=lambda image: image.name)
             if connection.exists_keypoints(image.image_id)
         }
-        pairs = chosen_pairs(sorted(names, key=lambda image_id: names[image_id]))
+        ids = list(names)
+        unknown = np.full(3, np.nan)
+        known = np.array([places.get(name.removeprefix(_RGB), unknown) for name in names.values()]).reshape(-1, 3)
+        chosen = chosen_pairs(known, lambda: likeness(connection, ids))
+        pairs = [(ids[one], ids[other]) for one, other in chosen]
         todo = [pair for pair in pairs if not connection.exists_two_view_geometry(*pair)]
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = 0
@@ -124,22 +129,6 @@ def match(database: Path) -> None:
             pycolmap.match_image_pairs(database, pairing_options=pairing, verification_options=verification)
             advance(len(lot))
     listed.unlink(missing_ok=True)
-
-
-def chosen_pairs(ordered: Sequence[int]) -> list[tuple[int, int]]:
-    """Which photographs are matched: all with all, or neighbours in their order where there are many.
-
-    Args:
-        ordered: Ids of the photographs in the order of their names.
-
-    Returns:
-        Pairs of ids. Beyond the nearest neighbours, distances double, so that a path that returns can be closed.
-    """
-    count = len(ordered)
-    if count <= ALL_PAIRS_UP_TO:
-        return list(combinations(ordered, 2))
-    steps = {*range(1, NEIGHBOURS + 1), *(2**power for power in range(5, count.bit_length()) if 2**power < count)}
-    return [(ordered[i], ordered[i + step]) for i in range(count) for step in sorted(steps) if i + step < count]
 
 
 def _lots(items: Sequence[Item], size: int) -> Iterator[list[Item]]:

@@ -4,6 +4,7 @@ The database of features and matches lies in ``prepared/sfm-<digest>/``, where t
 what is known of their cameras. An interrupted step goes on with it. The finished model lies in ``sparse/0``.
 """
 
+import json
 import shutil
 from pathlib import Path
 
@@ -12,14 +13,18 @@ import pycolmap
 
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.calibration_file import read_calibration
-from thermosplat.prepare.capture_folder import LEADING, CaptureFolder
+from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.steps import StepReport, fingerprint, run_step
+from thermosplat.prepare.structure.flights import remarks
 from thermosplat.prepare.structure.mapping import Mapper, adjusted, map_photographs
 from thermosplat.prepare.structure.matching import enter_photographs, extract, match, quiet_colmap
 from thermosplat.prepare.structure.photograph_cameras import cameras_of
+from thermosplat.prepare.structure.placing import Placed, placed
+from thermosplat.prepare.structure.positions import positions_of
 from thermosplat.prepare.structure.unregistered import reasons, some
 from thermosplat.prepare.whole_files import not_written
+from thermosplat.runs.atomic_writes import write_text
 
 FEWEST_PHOTOGRAPHS = 3
 """Two photographs have a pose beside each other, but nothing confirms it."""
@@ -41,7 +46,7 @@ def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "auto") -> StepReport:
         "sfm",
         lambda: _sfm(capture, mapper),
         settings={"mapper": mapper},
-        inputs=[capture.images(LEADING), capture.frames_csv, capture.calibration_json],
+        inputs=[capture.images(LEADING), capture.frames_csv, capture.pairs_csv, capture.calibration_json],
         outputs=[capture.sparse / "images.bin"],
     )
 
@@ -89,21 +94,41 @@ def _sfm(capture: CaptureFolder, mapper: Mapper) -> list[str]:
         for number, (camera, _) in enumerate(cameras, start=1)
         if lens is not None and list(camera.params) == list(lens.params)
     ]
+    positions = positions_of(photographs, _thermal_of(capture))
     work = _work_folder(capture)
     database, images = work / "database.db", capture.root / "images"
     with quiet_colmap():
         enter_photographs(database, cameras)
         extract(database, images)
-        match(database)
+        places = zip(photographs, positions.places) if positions.tell_neighbours else ()
+        match(database, {row.file: place for row, place in places})
         models = map_photographs(database, images, work / "models", mapper, fixed)
         lost = reasons(database, models)
         if not models:
             raise _no_model(capture, count, lost)
-        model = adjusted(models[0], fixed)
-        model.extract_colors_for_all_images(images)
-    write_model(model, capture.sparse)
+        first = placed(models[0], photographs, positions)
+        result = placed(adjusted(first.model, fixed, first.priors), photographs, positions)
+        result.model.extract_colors_for_all_images(images)
+    registered = {image.name for image in result.model.images.values() if image.has_pose}
+    _write(capture, result)
     shutil.rmtree(work / "models", ignore_errors=True)
-    return _findings(model, count, lost)
+    return [*_findings(result.model, count, lost), *result.sentences, *remarks(photographs, positions, registered)]
+
+
+def _thermal_of(capture: CaptureFolder) -> dict[str, FrameRow]:
+    """The thermal image of each paired photograph, by the photograph's file."""
+    if not capture.pairs_csv.exists():
+        return {}
+    thermal = {row.file: row for row in capture.read_frames(OTHER)}
+    return {pair.rgb: thermal[pair.thermal] for pair in capture.read_pairs() if pair.thermal in thermal}
+
+
+def _write(capture: CaptureFolder, result: Placed) -> None:
+    """Write the model, and geo.json for it. At no time does the file say something of another model."""
+    capture.geo_json.unlink(missing_ok=True)
+    write_model(result.model, capture.sparse)
+    if result.geo is not None:
+        write_text(capture.geo_json, json.dumps(result.geo.content(), indent=1) + "\n")
 
 
 def _work_folder(capture: CaptureFolder) -> Path:

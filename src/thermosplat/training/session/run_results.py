@@ -12,6 +12,7 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation.held_out_poses import Judged, evaluate_refined
 from thermosplat.evaluation.labelled_regions import write_regions
 from thermosplat.evaluation.training_views import remarks, training_views
+from thermosplat.export.export_frame import ExportFrame
 from thermosplat.export.scene import scene_splats, write_scene
 from thermosplat.image_quality.lpips import Lpips, find_lpips
 from thermosplat.refinement.camera_report import write_cameras
@@ -98,8 +99,9 @@ class RunResults:
     def exporting(self) -> Callable[[], object]:
         """What writes the scene for other viewers; in any thread, as it has tensors of its own."""
         model = self._state.model
-        scene = scene_splats(model, self._capture.scales)
-        return partial(write_scene, scene, self._run.ply, placement=model.placement)
+        frame = ExportFrame(model.placement, self._capture.geo)
+        scene = scene_splats(model, self._capture.scales, frame=frame)
+        return partial(write_scene, scene, self._run.ply, frame=frame)
 
     def write(self, judged: Judged) -> dict[str, Any]:
         """Write errors by region, corrected cameras and, last of all, metrics.json: where it is, everything is.
