@@ -186,6 +186,19 @@ class Measurer:
             points = model.placement.to_world(scene_points(view, depth).cpu().numpy())
             yield SearchedView(frame, view, field.astype(np.float64), z, points)
 
+    def spectrum_of_values(self) -> str:
+        """The measured spectrum; where nothing is measured, the first that has intensities.
+
+        Raises:
+            UserError: There are colours alone.
+        """
+        scales = self.scene.scales
+        if all(scales[name].measured_unit is None for name in self.scene.model.spectra):
+            for name in self.scene.model.spectra:
+                if scales[name].kind != "photograph":
+                    return name
+        return self.measured_spectrum()
+
     def measured_spectrum(self) -> str:
         """The spectrum whose regions are looked for: the first with temperatures, else with values.
 
