@@ -42,6 +42,7 @@ def test_pages_are_counted() -> None:
 def test_both_languages_are_complete() -> None:
     """Each text is there twice, with the same gaps; German numbers have commas."""
     for english, german in (*_TEXTS.values(), *FORM.values()):
-        assert english and german
+        assert english
+        assert german
         assert english.count("{}") == german.count("{}")
     assert Words("de").number(18.6, 1, sign=True) == "+18,6"

@@ -164,20 +164,20 @@ def _finding(report: Report, number: int, one: Finding, entry: Entry) -> Iterato
         (_delta(report), report.step(one.difference)),
         (words["area"], _area(report, one)),
         (words["size"], _size(report, one)),
-        (words["world"], ", ".join(f"{x:.3f}" for x in one.region.place)),
+        (words["world"], words.place(one.region.place, 3)),
     ]
     if (geo := report.capture.geo) is not None:
-        rows.append((words["enu"], ", ".join(f"{x:.2f}" for x in one.region.place)))
+        rows.append((words["enu"], words.place(one.region.place, 2)))
         utm = geo.to_utm(np.array(one.region.place))
-        rows.append((words["utm"], f"{', '.join(f'{x:.2f}' for x in utm)} ({geo.zone}, EPSG:{geo.epsg})"))
+        rows.append((words["utm"], f"{words.place(utm, 2)} ({geo.zone}, EPSG:{geo.epsg})"))
     nearest = report.measurer.renderer.photographs.nearest_frame
     viewmat = frame.views[report.spectrum].viewmat
     for name, scale in report.capture.scales.items():
         if scale.kind == "photograph":
-            rows.append((words["photograph"], nearest(name, viewmat).views[name].path.name))
-    rows.append((words["thermal_file"], frame.views[report.spectrum].path.name))
+            rows.append((words["photograph"], _file(report, nearest(name, viewmat).views[name].path)))
+    rows.append((words["thermal_file"], _file(report, frame.views[report.spectrum].path)))
     rows.append((words["corrections"], _corrections(report)))
-    rows += [(words["doubts"], "; ".join(one.doubts))] if one.doubts else []
+    rows += [(words["doubts"], "; ".join(map(words.doubt, one.doubts)))] if one.doubts else []
     rows += [(words["severity"], report.given(entry.severity)), (words["comment"], report.given(entry.comment))]
     yield Facts(rows)
 
@@ -241,13 +241,19 @@ def _corrections(report: Report) -> str:
 def _area(report: Report, one: Finding) -> str:
     area = one.region.area if one.area is None else one.area
     if report.metres:
-        return f"{area * report.metres**2:.3g} m²"
-    return f"{area:.3g} ({report.words['world_units']})²"
+        return f"{report.words.formatted(area * report.metres**2, '.3g')} m²"
+    return f"{report.words.formatted(area, '.3g')} ({report.words['world_units']})²"
 
 
 def _size(report: Report, one: Finding) -> str:
-    sides = " x ".join(f"{side * (report.metres or 1.0):.2g}" for side in one.region.size)
+    sides = " x ".join(report.words.formatted(side * (report.metres or 1.0), ".2g") for side in one.region.size)
     return f"{sides} {'m' if report.metres else report.words['world_units']}"
+
+
+def _file(report: Report, path: Path) -> str:
+    """A file of the capture, as it lies in its folder."""
+    root = report.capture.root
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
 
 
 def _images(capture: Capture, spectrum: str) -> int:

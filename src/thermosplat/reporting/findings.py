@@ -52,8 +52,8 @@ class Finding:
     """Half of the 95% interval of the mean; None: nobody knows."""
     area: float | None
     """Its surface [world units²]; None: too few pixels."""
-    doubts: tuple[str, ...]
-    """Why some of its pixels should not be read."""
+    doubts: tuple[int, ...]
+    """Why some of its pixels should not be read, bits of ``DOUBTS``."""
 
     @property
     def difference(self) -> float:
@@ -183,12 +183,12 @@ def _finding(
         reference=float(np.median(references[pixels])),
         uncertainty=_root_mean_square(sure.half_width[pixels]) if sure is not None else None,
         area=area_of((rows, columns), depth, seen.view.K.double().cpu().numpy()),
-        doubts=() if sure is None else _named(sure.doubts[pixels]),
+        doubts=() if sure is None else _bits(sure.doubts[pixels]),
     )
 
 
-def _named(doubts: NDArray[np.uint8]) -> tuple[str, ...]:
-    return tuple(text for bit, text in DOUBTS.items() if (doubts & bit).any())
+def _bits(doubts: NDArray[np.uint8]) -> tuple[int, ...]:
+    return tuple(bit for bit in DOUBTS if (doubts & bit).any())
 
 
 def _root_mean_square(halves: Array) -> float | None:

@@ -1,6 +1,17 @@
 """The words of a report, in English and German."""
 
+from collections.abc import Iterable
 from typing import Literal
+
+from thermosplat.thermography.certainty import (
+    DEPTHS_DIFFER,
+    DOUBTS,
+    FEW_VIEWS,
+    GRAZING,
+    NO_SURFACE,
+    REFLECTING,
+    SMALL,
+)
 
 Language = Literal["en", "de"]
 
@@ -119,6 +130,15 @@ _TEXTS = {
     ),
 }
 
+_DOUBTS = {
+    FEW_VIEWS: "weniger als drei Aufnahmen zeigen es",
+    GRAZING: "nur streifend gesehen",
+    REFLECTING: "ändert sich mit der Blickrichtung, wie Spiegelungen",
+    DEPTHS_DIFFER: "die Spektren sehen verschiedene Tiefen",
+    SMALL: "kleiner als 3x3 Pixel des Sensors",
+    NO_SURFACE: "dort ist keine Oberfläche",
+}
+
 
 class Words:
     """The texts of a language.
@@ -138,7 +158,19 @@ class Words:
         """The label of a field of the form."""
         return FORM[name][self._column]
 
+    def doubt(self, bit: int) -> str:
+        """Why a value should not be read: a bit of ``DOUBTS``."""
+        return (DOUBTS, _DOUBTS)[self._column][bit]
+
     def number(self, value: float, decimals: int, *, sign: bool = False) -> str:
         """A number with the language's decimal sign."""
-        text = f"{value:{'+' if sign else ''}.{decimals}f}"
+        return self.formatted(value, f"{'+' if sign else ''}.{decimals}f")
+
+    def formatted(self, value: float, form: str) -> str:
+        """A number in a form of Python's, with the language's decimal sign."""
+        text = format(value, form)
         return text.replace(".", ",") if self.language == "de" else text
+
+    def place(self, numbers: Iterable[float], decimals: int) -> str:
+        """Coordinates."""
+        return "; ".join(self.number(float(number), decimals) for number in numbers)
