@@ -1,5 +1,6 @@
 """report.yaml: what is written is read back, entries find their findings, mistakes are told."""
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -69,3 +70,10 @@ def test_mistakes(tmp_path: Path, text: str, part: str) -> None:
     with pytest.raises(UserError) as error:
         read_report(path)
     assert part in error.value.message
+
+
+def test_a_pipe_is_refused(tmp_path: Path) -> None:
+    """Nobody waits for its end."""
+    os.mkfifo(tmp_path / "report.yaml")
+    with pytest.raises(UserError, match="Cannot read"):
+        read_report(tmp_path / "report.yaml")

@@ -120,7 +120,6 @@ def _report(arguments: ReportArguments) -> int:
         measurer=measurer,
         capture=scene.capture,
         spectrum=spectrum,
-        folder=folder.parent,
         date=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M"),
         found=found,
         findings=listed,

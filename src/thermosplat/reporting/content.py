@@ -29,8 +29,6 @@ class Report:
     capture: Capture
     spectrum: str
     """In which findings were looked for."""
-    folder: Path
-    """The run."""
     date: str
     """When the report is made."""
     found: Found

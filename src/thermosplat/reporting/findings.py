@@ -110,10 +110,13 @@ def find(
     cell = grid_cell([view.distance for view in views])
     regions = find_regions(hot, cell, colder=colder)
     findings, not_read = [], 0
+    known: dict[int, Sure | None] = {}
     for region in regions:
         best = region.best_view
         pixels = masks[best] & _inside(views[best].points, region, cell)
-        sure = measurer.renderer.how_sure(Layer("image", spectrum), views[best].view)
+        if best not in known:  # it takes a while, and many regions share a view
+            known[best] = measurer.renderer.how_sure(Layer("image", spectrum), views[best].view)
+        sure = known[best]
         if not pixels.any() or must_not_be_read(sure, pixels):
             not_read += 1
             continue

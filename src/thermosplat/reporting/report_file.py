@@ -17,6 +17,7 @@ from thermosplat.config.values import shortened
 from thermosplat.config.yaml_files import read_yaml
 from thermosplat.errors import UserError
 from thermosplat.printing import printable
+from thermosplat.regular_files import read_regular
 from thermosplat.reporting.findings import Finding
 from thermosplat.reporting.texts import FORM
 from thermosplat.runs.atomic_writes import write_text
@@ -117,6 +118,10 @@ def read_report(path: Path) -> ReportFile:
     Raises:
         UserError: It cannot be read, or has something unknown or impossible.
     """
+    try:
+        read_regular(path)  # a pipe would never end
+    except OSError as error:
+        raise UserError(f"Cannot read {path}: {error.strerror or error}.", _hint(path)) from error
     content = read_yaml(path)
     _known(content, ("title", "notes", "form", "photovoltaics", "findings"), path)
     form, solar, entries = content.get("form") or {}, content.get("photovoltaics") or {}, content.get("findings") or []
