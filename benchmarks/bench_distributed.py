@@ -38,8 +38,6 @@ from thermosplat.distributed.team import Team
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.thermal.radiometry import GREY, PixelScale
-from thermosplat.training.captured_batches import CapturedBatches
-from thermosplat.training.sharing.divided_trainer import DividedTrainer
 from thermosplat.training.trainer import Trainer
 from training.step_parts import finer_part_of
 
@@ -114,7 +112,7 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
         store = dist.FileStore(str(Path(folder) / "store"), ranks)
         backend = "cpu:gloo,cuda:nccl" if on_cuda else "gloo"
         dist.init_process_group(backend, store=store, rank=rank, world_size=ranks)
-        trainer = DividedTrainer(config, capture, run, Team(rank, ranks, device))
+        trainer = Trainer(config, capture, run, team=Team(rank, ranks, device))
 
     def steps(number: int) -> float:
         wait(device)
@@ -134,14 +132,15 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
     if rank == 0 and (options.profile or options.memory_peak):  # should what comes now fail, this is known
         print(f"{1e3 * seconds / options.steps:.2f} ms per step, {memory / 1e9:.3f} GB, {reserved / 1e9:.3f} reserved.")
     profile = profiled_step(trainer._train_step, PROFILED, device, finer_part_of) if options.profile else None
-    captured, exchanged = trainer.steps, Exchanged()
+    recordings, exchanged = trainer.steps.recordings, Exchanged()
     if ranks > 1:
-        if isinstance(captured, CapturedBatches):
-            trainer.steps = captured.batches
+        if recordings is not None:
+            trainer.steps.recordings = None
             steps(1)
         with counted_bytes() as exchanged:
             steps(options.steps)
-    peaks = peak_tables(trainer, captured, device) if options.memory_peak else []
+    trainer.steps.recordings = recordings
+    peaks = peak_tables(trainer, device) if options.memory_peak else []
     of_rank = {
         "seconds": seconds,
         "memory": memory,
@@ -155,27 +154,26 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
     if ranks > 1:
         every = [None] * ranks
         dist.all_gather_object(every, of_rank)
-        captured.forget()  # NCCL does not end as long as there are recordings of its exchanges
+        trainer.steps.forget()  # NCCL does not end as long as there are recordings of its exchanges
         dist.destroy_process_group()
     if rank == 0:
         (Path(folder) / "row.json").write_text(json.dumps(every))
 
 
-def peak_tables(trainer: Trainer, steps: Any, device: torch.device) -> list[str]:
+def peak_tables(trainer: Trainer, device: torch.device) -> list[str]:
     """What lies in the device's memory at the peak of a step: line by line, and while it is recorded.
 
     Args:
         trainer: Whose steps; afterwards it runs them as before.
-        steps: How it runs them.
         device: Where.
     """
-    step, tables = trainer._train_step, []
-    if isinstance(steps, CapturedBatches):
-        trainer.steps = steps.batches
+    step, recordings, tables = trainer._train_step, trainer.steps.recordings, []
+    if recordings is not None:
+        trainer.steps.recordings = None
         step()
         tables.append(peak_table("Peak of a step line by line", peak_of(step, device)))
-        trainer.steps = steps
-        steps.forget()
+        trainer.steps.recordings = recordings
+        recordings.forget()
         tables.append(peak_table("Peak of recording a step", peak_of(step, device)))
     else:
         tables.append(peak_table("Peak of a step", peak_of(step, device)))

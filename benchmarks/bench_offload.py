@@ -45,7 +45,7 @@ from thermosplat.training.offloading import limit_device_memory
 from thermosplat.training.trainer import Trainer
 from training.frozen_training import frozen, quiet_trainer, run_steps, wait, warm_up
 
-NEVER = 2**40
+NEVER = 10**11
 NOTING = DensificationConfig(start_step=NEVER, stop_step=2 * NEVER, every=NEVER, reset_every=NEVER)
 """Density control looks at every step and changes nothing."""
 
@@ -162,8 +162,8 @@ def measured(options: argparse.Namespace, kind: str, size: tuple[int, int], devi
             free, total = torch.cuda.mem_get_info(device)
             row["reserved_gb"] = torch.cuda.max_memory_reserved(device) / 1e9
             row["in_use_gb"] = (total - free) / 1e9
-        row["offloaded"] = trainer.offloaded
-        if trainer.offloaded != "nothing":
+        row["offloaded"] = trainer.parts.scenes.offloading.kind
+        if trainer.parts.scenes.offloading.kind != "nothing":
             with parts_timed(device) as parts:
                 run_steps(trainer, options.steps)
             row |= {f"{name}_ms": sum(found) / options.steps for name, found in parts.items()}

@@ -23,8 +23,8 @@ from thermosplat.datasets.capture import Capture
 from thermosplat.losses.image_terms import image_loss
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.gaussians import Gaussians
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
 from training.frozen_training import Frames, frozen_trainer, run_steps, wait, warm_up
 
 RGB = "rgb"
@@ -210,7 +210,7 @@ def _apart(losses: dict[str, float], others: dict[str, float]) -> dict[str, floa
 def _losses(trainer: Trainer) -> tuple[dict[str, float], dict[str, Tensor]]:
     """Loss terms of the first frame, and gradients by parameter; the state stays as it is."""
     kind = StepKind(trainer.config.sh_degree, densifying=False)
-    done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+    done = trainer.device_step.gradients([trainer.frames[0]], kind, trainer.steps.plan(), fixed_capacity=False)
     gradients = {name: p.grad.clone() for name, p in trainer.model.named_parameters() if p.grad is not None}
     trainer.state.clear_gradients()
     return {name: float(loss.detach()) for name, loss in done.losses.items()}, gradients

@@ -22,11 +22,11 @@ from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.runs.checkpoint import Checkpoint
+from thermosplat.runs.devices import choose_device
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.gaussians import Gaussians, offsets_name, own_logits_name, sh_names
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
-from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.density.gaussian_ops import become_copy
 from thermosplat.training.session.run_logger import RunLogger
 from thermosplat.training.trainer import Trainer
@@ -58,18 +58,17 @@ def quiet_trainer(
         frames: Frames of the capture that others have put on the device already; the trainer adds those it needs.
     """
     run = RunDirectory.create(folder)
-    trainer = Trainer(config, capture, run, checkpoint=checkpoint)
-    if frames is not None and len(trainer.frames.frames) == len(capture.train):  # else they have other numbers
-        trainer.frames._cache = frames
-    console = Console(file=io.StringIO())
-    trainer.logger = RunLogger(
+    logger = RunLogger(
         run,
         max_steps=config.max_steps,
         log_every=config.log_every,
-        device=trainer.device,
+        device=choose_device(config.device),
         tensorboard=False,
-        console=console,
+        console=Console(file=io.StringIO()),
     )
+    trainer = Trainer(config, capture, run, logger, checkpoint)
+    if frames is not None and len(trainer.frames.frames) == len(capture.train):  # else they have other numbers
+        trainer.frames._cache = frames
     return trainer
 
 
@@ -135,7 +134,7 @@ def warm_up(trainer: Trainer) -> None:
     """Puts all frames on the device, compiles kernels, and on CUDA lets the step be captured."""
     for index in range(len(trainer.frames)):
         trainer.frames[index]
-    run_steps(trainer, len(trainer.frames) + 5 if isinstance(trainer.steps, CapturedSteps) else 3)
+    run_steps(trainer, len(trainer.frames) + 5 if trainer.steps.recordings is not None else 3)
 
 
 def wait(device: torch.device) -> None:

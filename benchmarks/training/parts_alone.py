@@ -22,8 +22,8 @@ from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.losses.image_terms import compare_frame, image_terms
 from thermosplat.scene.model import RenderedFrame
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
 from training.step_parts import profiled
 
 IMAGE_LOSS_BYTES, SMOOTHNESS_BYTES, FINITE_BYTES, DENSITY_BYTES = 20, 12, 4, 25
@@ -88,7 +88,9 @@ def _with_one_term(config: TrainConfig, name: str) -> TrainConfig:
 
 def _bookkeeping(trainer: Trainer, frame: FrameTensors, peaks: DevicePeaks, repeats: int) -> dict[str, Part]:
     state, step = trainer.state, trainer.device_step
-    done = step.gradients(frame, StepKind(trainer.sh_degree, densifying=True), fixed_capacity=False)
+    done = step.gradients(
+        [frame], StepKind(trainer.sh_degree, densifying=True), trainer.steps.plan(), fixed_capacity=False
+    )
     blocked = torch.maximum(step.guard.blocked, step.capacity.overflow)
 
     def noted() -> None:

@@ -9,7 +9,7 @@ This file imports nothing heavy, so that ``thermosplat-train --help`` answers at
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Source = Literal["photograph", "auto", "color", "raw"]
 Opacity = Literal["shared", "offset", "own"]
@@ -245,6 +245,29 @@ def listed(names: Sequence[str], conjunction: str = "and") -> str:
     """Names in a sentence: "RGB, NIR and thermal"."""
     labels = [label(name) for name in names]
     return labels[0] if len(labels) == 1 else f"{', '.join(labels[:-1])} {conjunction} {labels[-1]}"
+
+
+class MeasuredError(NamedTuple):
+    """How people are told an error of measured values."""
+
+    heading: str
+    """"MAE" or "bias"."""
+    unit: str
+    """For people."""
+    sign: str
+    """Begin of its format: "+" where it may have either sign."""
+
+
+def measured_error(metric: str) -> MeasuredError | None:
+    """What a metric's name says: "mae_celsius" is the MAE in °C; None of another metric.
+
+    Args:
+        metric: As in metrics.json.
+    """
+    for begin, heading, sign in ((MAE, "MAE", ""), (BIAS, "bias", "+")):
+        if metric.startswith(begin):
+            return MeasuredError(heading, unit_label(metric.removeprefix(begin)), sign)
+    return None
 
 
 def unit_label(unit: str) -> str:

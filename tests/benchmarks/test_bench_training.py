@@ -285,7 +285,7 @@ def test_steps_start_from_a_run(tmp_path: Path) -> None:
     chosen = torch.arange(trainer.model.num_gaussians) >= 2000
     prune(trainer.model.gaussians("shared"), trainer.state.optimizers["shared"], chosen)
     trainer.state.strategies["shared"].forget(2000)
-    trainer._save()
+    trainer.save()
     path = tmp_path / "report.json"
     words = ["sample", "--device", "cpu", "--parts", "peers", "--window", "1", "--rounds", "1", "--json", str(path)]
     words += ["--run", str(tmp_path / "run"), "--", "--data-factor", "8"]

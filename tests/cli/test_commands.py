@@ -240,8 +240,8 @@ def test_run_of_three_spectra(run: Run, tmp_path: Path) -> None:
     assert "was trained with spectra.nir.factor=" in printed
     code, printed = run(evaluate.main, folder)
     assert code == 0
-    assert "MAE [°C]" in printed
-    assert "MAE [reflectance]" in printed
+    assert re.search(r"thermal .* [\d.]+ °C", printed)
+    assert re.search(r"NIR .* [\d.]+ reflectance", printed)
     assert "NIR" in printed
     for shown, name in (([], "rgb-thermal-nir"), (["--spectra", "nir", "rgb"], "rgb-nir")):
         assert run(render.main, folder, "--path", "test", "--format", "png", *shown)[0] == 0

@@ -56,7 +56,7 @@ def test_eval_agrees_with_training(run: Run, finished: Path) -> None:
         assert written[spectrum]["psnr"] == pytest.approx(trained[spectrum]["psnr"], rel=1e-6)
         assert f"{trained[spectrum]['psnr']:.2f}" in printed
     assert "PSNR [dB]" in printed
-    assert "MAE [°C]" in printed
+    assert re.search(r"thermal .* [\d.]+ °C", printed)
     assert list((finished / "renders" / f"eval_{STEPS:06d}").glob("*.png"))
 
 

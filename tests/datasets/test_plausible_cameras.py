@@ -27,11 +27,14 @@ def test_cameras_beyond_all_bounds(tmp_path, far):
         load_capture(rewritten(tmp_path, content))
 
 
-def test_a_camera_far_from_the_others(tmp_path):
+@pytest.mark.parametrize("far", [1e6, 100.0])
+def test_a_camera_far_from_the_others(tmp_path, far):
     """It may be meant so: a note."""
     content = write_transforms(tmp_path)
     assert not any("far from the others" in note for note in load_capture(tmp_path).notes)
-    content["frames"][3]["transform_matrix"][0][3] = 1e6
+    content["frames"][3]["transform_matrix"][0][3] *= far
+    content["frames"][3]["transform_matrix"][1][3] *= far
+    content["frames"][3]["transform_matrix"][2][3] *= far
     notes = load_capture(rewritten(tmp_path, content)).notes
     assert any("cameras of 1 of 8 frames lie far from the others (first: images/frame_train_00003" in n for n in notes)
 

@@ -9,7 +9,7 @@ from ranks import Ranks
 from toy_run import toy_sizes
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def _one_torch_thread() -> Iterator[None]:
     """Each rank has one thread; the process that it is compared with, too."""
     threads = torch.get_num_threads()

@@ -103,7 +103,7 @@ def test_the_flags_of_commands_in_the_documents_exist(name: str) -> None:
 
 def test_numbers_of_exports_are_those_of_the_program() -> None:
     """What the page and --help say of the fit, of points, voxels and pixels is what holds without a flag."""
-    page, texts = read("docs/exports.md"), " ".join(inspect.getsource(ExportArguments).split())
+    page, texts = " ".join(read("docs/exports.md").split()), " ".join(inspect.getsource(ExportArguments).split())
     assert f"None: {PASSES['cpu']} on a CPU, {PASSES['cuda']} on a GPU" in texts
     assert f"`--fit-passes {PASSES['cuda']}` is how long" in page
     assert re.search(rf"That is the default on a GPU. On a\s+CPU it is {PASSES['cpu']},", page)

@@ -49,7 +49,7 @@ def original(tmp_path_factory: pytest.TempPathFactory, capture: Capture) -> Path
     trainer = toy_trainer(tmp_path_factory.mktemp("original"), CONFIG, capture)
     while trainer.step < STEP:
         trainer._train_step()
-    return trainer._save()
+    return trainer.save()
 
 
 # ---- damage of bytes: what is read must be what was written ----------------------------------------------------------

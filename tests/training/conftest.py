@@ -9,7 +9,7 @@ from thermosplat.training.budget import image_change
 from toy_run import toy_sizes
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def _one_torch_thread() -> Iterator[None]:
     """Images of a few hundred pixels gain nothing from more threads, and lose much where cores are shared."""
     threads = torch.get_num_threads()
@@ -18,7 +18,7 @@ def _one_torch_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def _toy_sizes() -> Iterator[None]:
     """Of the Gaussians of toy captures, also in runs that a module shares."""
     with toy_sizes():

@@ -88,7 +88,7 @@ def test_baseline_goes_on_from_a_checkpoint(name: str, tmp_path: Path, capture: 
     half = Trainer(config, capture, RunDirectory.create(tmp_path / "half"))
     while half.step < config.max_steps // 2 + 1:
         half._train_step()
-    half._save()
+    half.save()
     resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path / "half"))
     resumed.train()
     expected, restored = whole.model.state_dict(), resumed.model.state_dict()

@@ -8,6 +8,7 @@ import torch
 
 from thermosplat.config import LossConfig
 from thermosplat.config.files import load_config
+from thermosplat.training.stages.cameras import CameraStage
 from thermosplat.training.trainer import Trainer
 from toy_run import many_frames, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -28,7 +29,8 @@ def test_a_pass_is_as_long_for_every_run(tmp_path: Path, max_steps: int, scaler:
     """Unless the run itself is shorter."""
     config = toy_run_config(max_steps, steps_scaler=scaler, refine=("rig",), refine_first=600, refine_from=0)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
-    assert trainer.camera_rounds.steps == steps
+    (cameras,) = (stage for stage in trainer.stages if isinstance(stage, CameraStage))
+    assert cameras.steps == steps
 
 
 def test_cameras_are_found_on_a_scene_without_holes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,9 +12,6 @@ import torch.multiprocessing as processes
 from thermosplat.config import DensificationConfig
 from thermosplat.distributed.team import Team
 from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.training.batch_steps import BatchSteps
-from thermosplat.training.captured_batches import CapturedBatches
-from thermosplat.training.sharing.divided_trainer import DividedTrainer
 from thermosplat.training.trainer import Trainer
 from toy_run import many_frames, state_tensors, toy_run_config
 from toy_scene import toy_capture
@@ -51,9 +48,9 @@ def test_captured_batches_match_plain_ones(tmp_path: Path) -> None:
     plain, captured = (
         _taken(Trainer(_config(graph), capture, RunDirectory.create(tmp_path / str(graph)))) for graph in (False, True)
     )
-    assert isinstance(plain.steps, BatchSteps)
-    assert isinstance(captured.steps, CapturedBatches)
-    assert captured.steps._graphs
+    assert plain.steps.recordings is None
+    assert captured.steps.recordings is not None
+    assert captured.steps.recordings._graphs
     _assert_alike(state_tensors(captured), state_tensors(plain))
 
 
@@ -62,14 +59,14 @@ def test_gaussians_come_and_go_between_captured_batches(tmp_path: Path) -> None:
     densification = toy_run_config().densification
     config = _config(True, densification=dataclasses.replace(densification, stop_step=60))
     trainer = _taken(Trainer(config, many_frames(toy_capture()), RunDirectory.create(tmp_path / "run")))
-    assert isinstance(trainer.steps, CapturedBatches)
-    assert trainer.steps._graphs
+    assert trainer.steps.recordings is not None
+    assert trainer.steps.recordings._graphs
     assert trainer.guard.first_bad() is None
 
 
 @pytest.mark.parametrize(("ranks", "batch"), [(1, 2), (2, 2), (2, 4)])
 def test_exchanges_are_captured(tmp_path: Path, ranks: int, batch: int) -> None:
-    """Those of NCCL, among one rank (which tells itself its gradients) and two, with one frame of each rank and two."""
+    """Those of NCCL among two ranks, with one frame of each rank and two; a rank alone exchanges nothing."""
     if torch.cuda.device_count() < ranks:
         pytest.skip(f"needs {ranks} CUDA devices")
     processes.spawn(_divided, (ranks, batch, str(tmp_path)), nprocs=ranks)
@@ -88,9 +85,9 @@ def _divided(rank: int, ranks: int, batch: int, folder: str) -> None:
         path = Path(folder) / f"run{graph}"
         run = RunDirectory.create(path) if rank == 0 else RunDirectory(path)
         config = _config(graph, batch_size=batch)
-        trainer = _taken(DividedTrainer(config, capture, run, Team(rank, ranks, device)))
-        assert isinstance(trainer.steps, CapturedBatches if graph else BatchSteps)
-        assert not graph or trainer.steps._graphs
+        trainer = _taken(Trainer(config, capture, run, team=Team(rank, ranks, device)))
+        assert (trainer.steps.recordings is not None) == graph
+        assert trainer.steps.recordings is None or trainer.steps.recordings._graphs
         torch.save(state_tensors(trainer), f"{folder}/{graph}-{rank}.pt")
         trainer.steps.forget()  # NCCL does not end as long as there are recordings of its exchanges
     dist.destroy_process_group()

@@ -11,8 +11,7 @@ import torch
 from rolling_captures import shaken
 from thermosplat.config import AutoBudgetConfig, DensificationConfig, ResolutionConfig
 from thermosplat.datasets.capture import Capture, Frame
-from thermosplat.training.captured_steps import CapturedSteps
-from thermosplat.training.plain_steps import PlainSteps
+from thermosplat.training.recorded_steps import RecordedSteps
 from thermosplat.training.session.run_metrics import feature_channels
 from thermosplat.training.trainer import Trainer
 from toy_run import enlarged, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
@@ -61,6 +60,12 @@ def masked(capture: Capture) -> Capture:
     return dataclasses.replace(capture, train=tuple(map(of_frame, capture.train, range(len(capture.train)))))
 
 
+def recordings(trainer: Trainer) -> RecordedSteps:
+    """What a trainer has recorded."""
+    assert trainer.steps.recordings is not None
+    return trainer.steps.recordings
+
+
 def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes: Any) -> Trainer:
     """A toy run after so many steps, ``of`` as many."""
     settings, capture = KINDS[kind]
@@ -80,9 +85,8 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
     still = DensificationConfig(stop_step=0)
     plain = _run(tmp_path / "plain", kind, 40, graph=False, densification=still, deterministic=True)
     captured = _run(tmp_path / "captured", kind, 40, graph=True, densification=still, deterministic=True)
-    assert isinstance(plain.steps, PlainSteps)
-    assert isinstance(captured.steps, CapturedSteps)
-    assert captured.steps._graphs
+    assert plain.steps.recordings is None
+    assert recordings(captured)._graphs
     ours, theirs = state_tensors(captured), state_tensors(plain)
     assert ours.keys() == theirs.keys()
     for name, value in theirs.items():
@@ -96,8 +100,7 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
 def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str) -> None:
     """Gaussians are added, removed and reset, graphs follow, and the loss falls."""
     trainer = _run(tmp_path, kind, 42)
-    assert isinstance(trainer.steps, CapturedSteps)
-    assert trainer.steps._graphs
+    assert recordings(trainer)._graphs
     assert trainer.guard.first_bad() is None
     counts = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
     assert all(strategy.grad_norm_sum.shape == (counts[name],) for name, strategy in trainer.state.strategies.items())
@@ -125,8 +128,7 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
         return trainer
 
     plain, captured = run("plain", False), run("captured", True)
-    assert isinstance(captured.steps, CapturedSteps)
-    assert {(work.kind.swept_depths, work.kind.depth_spread) for work in captured.steps._graphs} == {(True, True)}
+    assert {(work.kind.swept_depths, work.kind.depth_spread) for work in recordings(captured)._graphs} == {(True, True)}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures
@@ -146,9 +148,10 @@ def test_images_that_grow_are_captured_anew(tmp_path: Path) -> None:
         trainer, seen = toy_trainer(tmp_path / name, config, enlarged(many_frames(toy_capture()), 3)), []
         while trainer.step < 60:
             trainer._train_step()
-            if isinstance(trainer.steps, CapturedSteps) and trainer.steps._graphs:
+            if trainer.steps.recordings is not None and recordings(trainer)._graphs:
                 seen += [
-                    (len(trainer.steps._graphs), held.views["rgb"].width) for (held,) in trainer.steps._frames.values()
+                    (len(recordings(trainer)._graphs), held.views["rgb"].width)
+                    for (held,) in recordings(trainer)._frames.values()
                 ]
         return trainer, seen
 
@@ -173,8 +176,7 @@ def test_another_device_than_the_first(tmp_path: Path) -> None:
         before = trainer.model.gaussians("shared").means.detach().clone()
         while trainer.step < 20:
             trainer._train_step()
-        assert isinstance(trainer.steps, CapturedSteps)
-        assert trainer.steps._graphs
+        assert recordings(trainer)._graphs
         assert trainer.guard.first_bad() is None
         means = trainer.model.gaussians("shared").means
         assert means.device == torch.device("cuda:1")
@@ -187,10 +189,9 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     """Once no Gaussians are added, refinements move them in place, and the same graph goes on with them."""
     full = DensificationConfig(strategy="mcmc", max_gaussians=60, start_step=4, stop_step=60, every=10)
     trainer = _run(tmp_path, "shared", 24, of=40, densification=full)
-    assert isinstance(trainer.steps, CapturedSteps)
     gaussians = trainer.model.gaussians("shared")
     assert len(gaussians) == 60
-    before = dict(trainer.steps._graphs)
+    before = dict(recordings(trainer)._graphs)
     assert before
     with torch.no_grad():
         gaussians.logit_opacities[:5] = -9.0
@@ -198,7 +199,7 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     means = gaussians.means[:5].detach().clone()
     while trainer.step < 34:  # one refinement
         trainer._train_step()
-    assert trainer.steps._graphs == before
+    assert recordings(trainer)._graphs == before
     assert (gaussians.opacities[:5] > 0.005).all()
     assert ((gaussians.means[:5] - means).norm(dim=-1) > 0.01).all()
     assert trainer.guard.first_bad() is None
@@ -213,8 +214,7 @@ def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     changes = {"densification": still, "budget": "auto", "auto_budget": budget}
     plain = _run(tmp_path / "plain", "shared", 40, graph=False, **changes)
     captured = _run(tmp_path / "captured", "shared", 40, graph=True, **changes)
-    assert isinstance(captured.steps, CapturedSteps)
-    assert captured.steps._graphs
+    assert recordings(captured)._graphs
     assert captured.guard.first_bad() is None
     assert feature_channels(captured.model) == feature_channels(plain.model) == 1
     ours, theirs = captured.model.gaussians("shared"), plain.model.gaussians("shared")
@@ -226,23 +226,21 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     still = DensificationConfig(stop_step=0)
     trainer = _run(tmp_path, "shared", 20, densification=still, log_every=1000)
     captured = trainer.steps
-    assert isinstance(captured, CapturedSteps)
     captured.forget()
-    kind = next(iter(captured._seen)).kind
+    kind = next(iter(recordings(trainer)._seen)).kind
     capacity = captured.step.capacity
-    frame = trainer.frames.at(0, int, 1)
     capacity.measure()
     capacity._rooms = [dataclasses.replace(room, pairs=10) for room in capacity._rooms]
     capacity.measure = lambda: None  # type: ignore[method-assign]
     before = trainer.model.gaussians("shared").means.detach().clone()
-    with captured.run(frame, kind):
+    with captured.run(kind):
         pass
     assert capacity.overflow == 1
     assert torch.equal(trainer.model.gaussians("shared").means, before)
     del capacity.measure
     captured.check_overflow()
-    assert not captured._graphs
-    with captured.run(frame, kind):
+    assert not recordings(trainer)._graphs
+    with captured.run(kind):
         pass
     assert capacity.overflow == 0
     assert not torch.equal(trainer.model.gaussians("shared").means, before)
@@ -251,7 +249,7 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
 def test_resume_from_captured_steps(tmp_path: Path) -> None:
     """A checkpoint of a captured run goes on, on CUDA and on the CPU."""
     trainer = _run(tmp_path / "first", "shared", 20)
-    trainer._save()
+    trainer.save()
     for device in ("cuda", "cpu"):
         config = dataclasses.replace(trainer.config, device=device, max_steps=24)
         resumed = Trainer.resume(config, trainer.capture, trainer.run)

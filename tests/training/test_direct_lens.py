@@ -65,7 +65,7 @@ def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     half = toy_trainer(tmp_path / "half", config, capture)
     while half.step < 4:
         half._train_step()
-    half._save()
+    half.save()
     resumed = Trainer.resume(config, capture, half.run)
     while resumed.step < 8:
         resumed._train_step()

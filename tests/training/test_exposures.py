@@ -154,7 +154,7 @@ def test_training_with_exposures(tmp_path: Path, kind: str, others: tuple[str, .
     half = toy_trainer(tmp_path / "half", config, capture)
     while half.step < 4:
         half._train_step()
-    half._save()
+    half.save()
     resumed = Trainer.resume(dataclasses.replace(config), capture, half.run)
     while resumed.step < 10:
         resumed._train_step()

@@ -20,9 +20,9 @@ from thermosplat.training.image_noise import (
     training_noise,
 )
 from thermosplat.training.sensor_facts import SensorFacts, by_noise
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import many_frames, toy_run_config, toy_trainer, without
+from toy_run import many_frames, step_gradients, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture
 
 HEIGHT, WIDTH = 240, 320
@@ -120,14 +120,14 @@ def test_a_run_takes_what_its_images_ask_for(tmp_path: Path) -> None:
     config = toy_run_config(spectra={"thermal": MEASURED})
     trainer = toy_trainer(tmp_path / "a", config, noisy(many_frames(toy_capture()), thermal=8))
     assert trainer.device_step.config.spectra["thermal"].smoothness == 0.3
-    (note,) = trainer.image_notes
+    (note,) = trainer.recipe.notes
     assert note.startswith("Noise of the thermal images 0.03")
     assert note.endswith("smoothness weight 0.300.")
     assert trainer.config == in_steps(config)
     rgb_alone = toy_run_config(spectra={"thermal": MEASURED}, without=("thermal",))
-    assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).image_notes == ()
+    assert toy_trainer(tmp_path / "b", rgb_alone, many_frames(toy_capture(thermal=False))).recipe.notes == ()
     plain = toy_trainer(tmp_path / "c", toy_run_config(), many_frames(toy_capture()))
-    assert plain.image_notes == ()
+    assert plain.recipe.notes == ()
     assert plain.device_step.config.spectra["thermal"].smoothness == 0.3
 
 
@@ -143,22 +143,19 @@ def test_a_run_weighs_what_its_images_ask_for(tmp_path: Path) -> None:
     assert 1.2 < weight < 1.9
     trainer.save()
     assert load_run(trainer.run.path, device="cpu").config.spectra["thermal"].loss == 2.0  # as it was asked for
-    (note,) = trainer.image_notes
+    (note,) = trainer.recipe.notes
     assert note.endswith(f"): loss weight {weight:.3f}.")
     once = toy_trainer(tmp_path / "b", toy_run_config(spectra={"thermal": {"smoothness": 0.0}}), capture)
-    assert once.image_notes == ()
+    assert once.recipe.notes == ()
     kind = StepKind(0, densifying=False)
-    terms, of_once = (
-        run.device_step.gradients(run.frames[0], kind, fixed_capacity=False).losses["thermal"]
-        for run in (trainer, once)
-    )
+    terms, of_once = (step_gradients(run, kind).losses["thermal"] for run in (trainer, once))
     assert terms.item() == pytest.approx(weight * of_once.item(), rel=1e-5)
 
 
 def test_both_weights_are_said_in_one_line(tmp_path: Path) -> None:
     """Noise is measured once for both."""
     config = toy_run_config(spectra={"thermal": {**MEASURED, "loss": 2.0}})
-    (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).image_notes
+    (note,) = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=8)).recipe.notes
     assert note.endswith("loss weight 1.000, smoothness weight 0.300.")
 
 
@@ -168,11 +165,11 @@ def test_no_blur_is_learnt_of_noise(tmp_path: Path) -> None:
     runs = {sigma: noisy(many_frames(toy_capture()), thermal=sigma) for sigma in (1, 8)}
     clean = toy_trainer(tmp_path / "clean", config, runs[1])
     assert clean.model.formations.found("point_spread") == pytest.approx({"thermal": 0.05})
-    assert clean.image_notes == ()
+    assert clean.recipe.notes == ()
 
     trainer = toy_trainer(tmp_path / "noisy", config, runs[8])
     assert trainer.model.formations.found("point_spread") == {}
-    (note,) = trainer.image_notes
+    (note,) = trainer.recipe.notes
     assert note.endswith("): no point spread.")
     trainer.train()
     resumed = Trainer.resume(dataclasses.replace(config, max_steps=14), runs[8], trainer.run)
@@ -191,7 +188,7 @@ def test_noisy_images_get_fewer_gaussians(tmp_path: Path, sigma: float, most: in
     trainer = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), rgb=1, thermal=sigma))
     assert trainer.config.densification.max_gaussians == most
     said = "At most 150,000 Gaussians are made, since thermal images are noisy."
-    assert (said in trainer.image_notes) == (most == 150_000)
+    assert (said in trainer.recipe.notes) == (most == 150_000)
 
 
 @pytest.mark.parametrize(("budget", "counts"), [("auto", ("rgb",)), ("fixed", ())])
@@ -210,7 +207,7 @@ def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
     config = toy_run_config(6, budget="auto", noisy_steps=1.5)
     capture = noisy(many_frames(toy_capture()), rgb=16, thermal=1)
     trainer = toy_trainer(tmp_path / "noisy", config, capture)
-    assert trainer.image_notes[0].startswith("Noisy RGB images: 9 steps of one frame in place of 6 (")
+    assert trainer.recipe.notes[0].startswith("Noisy RGB images: 9 steps of one frame in place of 6 (")
     while trainer.step < 7:
         trainer._train_step()
     trainer.save()
@@ -251,8 +248,8 @@ def test_every_spectrum_is_measured_by_itself(tmp_path: Path) -> None:
         assert weights[name] == pytest.approx(0.3 * noise.total / 0.0125)
     assert 0.3 > weights["rgb"] > 1.5 * weights["nir"] > 1.5 * 0.05
     assert (weights["thermal"], weights["red"]) == (0.3, 0.0)
-    assert [note.split(" images")[0] for note in trainer.image_notes] == ["Noise of the RGB", "Noise of the NIR"]
-    terms = trainer.device_step.gradients(trainer.frames[0], StepKind(0, densifying=False), fixed_capacity=False).losses
+    assert [note.split(" images")[0] for note in trainer.recipe.notes] == ["Noise of the RGB", "Noise of the NIR"]
+    terms = step_gradients(trainer, StepKind(0, densifying=False)).losses
     assert [name for name in terms if name.endswith("smoothness")] == [
         "rgb_smoothness",
         "thermal_smoothness",

@@ -26,9 +26,11 @@ from thermosplat.torch_bridge.host_rows import on_cpu
 from thermosplat.training import sensor_facts
 from thermosplat.training.budget import image_change
 from thermosplat.training.joined_scenes import joined, seed_of_scene, steps_of_scene, thinned_logits
+from thermosplat.training.new_scenes import NewScenes
 from thermosplat.training.session.interruption import TrainingInterrupted
+from thermosplat.training.stages.scenes import SceneStage
+from thermosplat.training.step_kind import StepValues
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepValues
 from toy_run import (
     assert_same_state,
     many_frames,
@@ -165,7 +167,7 @@ def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, pa
     first = toy_trainer(tmp_path / "parts", config, capture)
     for _ in range(passed):
         first._train_step()
-    first._save()
+    first.save()
     second = Trainer.resume(config, capture, first.run)
     assert second.step == first.step
     assert second.state.seed == first.state.seed
@@ -207,13 +209,13 @@ def test_a_scene_that_a_signal_ends_is_left_when_the_run_goes_on(
 def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capture: Capture) -> None:
     """An older checkpoint of more steps is gone, so that the run goes on with the next scene."""
     first = stopped_and_resumed(tmp_path, scenes_config(), capture, 10)
-    begin = first._begin_scene
+    begin = first.beginnings.begin_scene
 
     def begin_and_stop() -> None:
         begin()
         signal.raise_signal(signal.SIGTERM)
 
-    first._begin_scene = begin_and_stop  # type: ignore[method-assign]
+    first.beginnings.begin_scene = begin_and_stop  # type: ignore[method-assign]
     assert stopped(first).name == "step_000000.pt"
     second = Trainer.resume(scenes_config(), capture, first.run)
     assert (second.step, len(second.state.kept_scenes)) == (0, 1)
@@ -289,7 +291,7 @@ def test_cameras_are_found_before_the_first_scene(tmp_path: Path) -> None:
     assert steps == 2 * 2 + 2 * 16
 
 
-@pytest.mark.parametrize(("scene", "fails"), [(1, "_make_model"), (2, "_joined_sets")])
+@pytest.mark.parametrize(("scene", "fails"), [(1, "made"), (2, "joined")])
 def test_a_scene_is_not_lost_where_memory_ends(
     tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, scene: int, fails: str
 ) -> None:
@@ -302,7 +304,7 @@ def test_a_scene_is_not_lost_where_memory_ends(
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(trainer, fails, full)
+        patch.setattr(NewScenes if fails == "made" else SceneStage, fails, full)
         with pytest.raises(UserError, match="memory"):
             trainer.train()
     assert trainer.step == 16
@@ -320,7 +322,7 @@ def test_a_damaged_scene_is_told(tmp_path: Path, capture: Capture) -> None:
     trainer = toy_trainer(tmp_path, scenes_config(), capture)
     for _ in range(17):
         trainer._train_step()
-    path = trainer._save()
+    path = trainer.save()
     state = load_checkpoint(path).state()
     del state["training"]["kept_scenes"][0]["shared"]["quats"]
     save_checkpoint(path, state)

@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.training import trainer as trainer_module
-from thermosplat.training.offloaded_steps import OffloadedSteps
+from thermosplat.training import new_scenes
 from thermosplat.training.offloading import Decision
 from thermosplat.training.trainer import Trainer
 from thermosplat.training.training_step import Differentiated
@@ -19,17 +18,16 @@ def trainer_of(path: Path, said: list[str]) -> Trainer:
     """A trainer that has moments of 40 of its 60 Gaussians on the device."""
     trainer = toy_trainer(path, toy_run_config(offload="on"), many_frames(toy_capture()))
     trainer.state.keep_moments_on_device({"shared": 40})
-    trainer.steps = OffloadedSteps(trainer.device_step, said.append)
+    trainer.logger.say = said.append  # type: ignore[method-assign]
     return trainer
 
 
 def test_a_decision_is_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The trainer keeps moments of as many rows on the device as was decided, also after a refinement, and says so."""
     decision = Decision("moments", "Moments lie here and there.", {"shared": 40})
-    monkeypatch.setattr(trainer_module, "decided", lambda *_: decision)
+    monkeypatch.setattr(new_scenes, "decided", lambda *_, **__: decision)
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
-    assert isinstance(trainer.steps, OffloadedSteps)
-    assert trainer.offload_notes == ("Moments lie here and there.",)
+    assert trainer.parts.scenes.notes == ("Moments lie here and there.",)
     while trainer.step < 5:
         trainer._train_step()
     assert len(trainer.state.gaussian_sets["shared"]) > 60

@@ -36,7 +36,7 @@ def trained(folder: Path, world: Placement) -> Outcome:
     trainer = toy_trainer(folder / "run", config, load_capture(config.data))
     while trainer.step < 12:
         trainer._train_step()
-    trainer._save()
+    trainer.save()
     trainer.results.exporting()()
     metrics = evaluate(trainer.model, trainer.capture, sh_degree=trainer.sh_degree, device="cpu")
     content = (trainer.run.ply / "splat_rgb.ply").read_bytes().partition(b"end_header\n")[2]
@@ -72,7 +72,7 @@ def test_a_capture_trains_alike_in_every_world(name: str, usual: Outcome, tmp_pa
 def test_a_run_goes_on_in_its_own_frame(tmp_path: Path) -> None:
     """The checkpoint keeps it, and gives it to the capture that it is shown with; a new camera is the world's."""
     first = trained(tmp_path, WORLDS["UTM"]).trainer
-    config = dataclasses.replace(first.asked, max_steps=13)
+    config = dataclasses.replace(first.recipe.asked, max_steps=13)
     again = Trainer.resume(config, load_capture(config.data), RunDirectory.open(first.run.path))
     assert again.capture.placement == again.model.placement == first.model.placement
     assert again.capture.placement.is_moved
@@ -93,9 +93,9 @@ def test_old_checkpoints_have_the_worlds_frame(monkeypatch: pytest.MonkeyPatch, 
     state = torch.load(path, weights_only=True)
     del state["model"]["placement"]
     torch.save(state, path)
-    capture = load_capture(first.asked.data)
+    capture = load_capture(first.recipe.asked.data)
     assert capture.placement.is_moved
-    again = Trainer.resume(first.asked, capture, RunDirectory.open(first.run.path))
+    again = Trainer.resume(first.recipe.asked, capture, RunDirectory.open(first.run.path))
     assert again.capture.placement == WORLD
     center = np.linalg.inv(again.capture.train[0].views["rgb"].viewmat)[:3, 3]
     assert np.linalg.norm(center - UTM) < 10

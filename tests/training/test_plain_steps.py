@@ -1,6 +1,5 @@
-"""Steps line by line are done as a whole or not at all, and stand where captured ones do."""
+"""Steps line by line are done as a whole or not at all."""
 
-import inspect
 import os
 import signal
 from pathlib import Path
@@ -9,9 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from thermosplat.training.captured_steps import CapturedSteps
-from thermosplat.training.plain_steps import PlainSteps
-from thermosplat.training.training_step import StepKind
+from thermosplat.training.step_kind import StepKind
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
@@ -19,27 +16,12 @@ pytestmark = pytest.mark.usefixtures("stoppable")
 KIND = StepKind(0, densifying=False)
 
 
-def methods(steps: type) -> dict[str, inspect.Signature]:
-    """The public methods of a class and what they take."""
-    return {
-        name: inspect.signature(value)
-        for name, value in vars(steps).items()
-        if callable(value) and not name.startswith("_")
-    }
-
-
-def test_same_methods_as_captured_steps() -> None:
-    """The trainer calls either without asking which it has."""
-    assert set(methods(PlainSteps)) == {"run", "forget", "check_overflow"}
-    assert methods(PlainSteps) == methods(CapturedSteps)
-
-
 def test_interrupt_waits_for_the_block(tmp_path: Path) -> None:
     """The block is what goes with the step: Ctrl-C in it is heard when it has ended."""
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
     done = []
     trainer.state.begin_step(1, trainer.config.optimizer, 1.0)
-    with pytest.raises(KeyboardInterrupt), trainer.steps.run(trainer.frames[0], KIND) as values:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), trainer.steps.run(KIND) as values:  # noqa: PT012
         os.kill(os.getpid(), signal.SIGINT)
         done.append(trainer.step)
     assert done == [1]
@@ -56,7 +38,7 @@ def test_interrupt_before_the_gradients_undoes_the_step(tmp_path: Path, monkeypa
         raise KeyboardInterrupt
 
     monkeypatch.setattr(trainer.model, "render", interrupted)
-    with pytest.raises(KeyboardInterrupt), trainer.steps.run(trainer.frames[0], KIND):
+    with pytest.raises(KeyboardInterrupt), trainer.steps.run(KIND):
         pass
     assert trainer.step == 0
     assert_same_state(state_tensors(trainer), before)

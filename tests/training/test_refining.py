@@ -122,7 +122,7 @@ def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) 
     half = toy_trainer(tmp_path / "half", config, capture)
     for _ in range(steps):
         half._train_step()
-    half._save()
+    half.save()
     resumed = Trainer.resume(config, capture, half.run)
     again = toy_trainer(tmp_path / "again", config, capture)
     for each in (resumed, again):
@@ -142,7 +142,7 @@ def test_a_loaded_run_has_the_corrected_capture(tmp_path: Path) -> None:
     trainer = toy_trainer(run, config, capture)
     while trainer.step < 4:
         trainer._train_step()
-    trainer._save()
+    trainer.save()
     loaded = load_run(str(run), device="cpu").capture(None)
     for ours, theirs in zip(loaded.train, trainer.corrected_capture().train, strict=True):
         for name, view in ours.views.items():
@@ -156,7 +156,7 @@ def test_going_on_with_other_refinement_is_refused(tmp_path: Path) -> None:
     capture = many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, toy_run_config(4, refine=("poses",)), capture)
     trainer._train_step()
-    trainer._save()
+    trainer.save()
     with pytest.raises(UserError, match="was trained with refine=poses, the command asks for nothing"):
         Trainer.resume(toy_run_config(4), capture, trainer.run)
 

@@ -12,8 +12,9 @@ from thermosplat.config import AutoBudgetConfig, ResolutionConfig, TrainConfig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation import held_out
-from thermosplat.training import camera_rounds, training_step
+from thermosplat.training import training_step
 from thermosplat.training.budget.noise_watch import NoiseWatch
+from thermosplat.training.stages import cameras
 from toy_run import (
     assert_same_state,
     enlarged,
@@ -148,8 +149,8 @@ def test_cameras_are_found_on_small_images(
         assert view.image.shape[:2] == (view.height, view.width)
         seen.append((view.width, view.height))
 
-    monkeypatch.setattr(camera_rounds, "WIDEST", widest)
-    monkeypatch.setattr(camera_rounds, "register_cameras", noted)
+    monkeypatch.setattr(cameras, "WIDEST", widest)
+    monkeypatch.setattr(cameras, "register_cameras", noted)
     monkeypatch.setattr("thermosplat.evaluation.held_out_poses.STEPS", 2)
     capture = enlarged(many_frames(toy_capture(aligned=False)), 3)
     config = growing(refine=("rig",), refine_from=1, refine_every=1, refine_first=3)

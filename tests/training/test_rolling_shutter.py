@@ -15,7 +15,7 @@ from thermosplat.datasets.frame_tensors import frame_tensors, packed, packed_els
 from thermosplat.datasets.readouts import LineOrder
 from thermosplat.evaluation.held_out import rendered_views
 from thermosplat.scene.model import SceneModel
-from thermosplat.training.captured_steps import _shape
+from thermosplat.training.recorded_steps import _shape
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture, toy_config
@@ -117,7 +117,7 @@ def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     half = toy_trainer(tmp_path / "half", config, capture)
     while half.step < 4:
         half._train_step()
-    half._save()
+    half.save()
     resumed = Trainer.resume(config, capture, half.run)
     again = toy_trainer(tmp_path / "again", config, capture)
     for trainer in (resumed, again):

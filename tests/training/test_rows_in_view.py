@@ -14,9 +14,9 @@ from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
 from thermosplat.torch_bridge.host_rows import has_padded_rows
 from thermosplat.training.density import decomposition
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import many_frames, state_tensors, toy_run_config, toy_trainer
+from toy_run import many_frames, state_tensors, step_gradients, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 KINDS = ["moments", "on", "on, some moments on the device"]
@@ -105,7 +105,7 @@ def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None
     config = toy_run_config(max_steps=6)
     whole = trained(tmp_path / "whole", 6, max_steps=6)
     half = trained(tmp_path / "half", 4, max_steps=6, offload=first)
-    half.run.write_config(half.asked)
+    half.run.write_config(half.recipe.asked)
     half.save()
     resumed = Trainer.resume(dataclasses.replace(config, offload=then), capture_of(), RunDirectory.open(half.run.path))
     assert some_offloaded(resumed.state.gaussian_sets["shared"]) == (then == "on")
@@ -143,7 +143,7 @@ def test_refinements_keep_rows_where_they_lie(tmp_path: Path, kind: str) -> None
 
     assert len(trainer.state.gaussian_sets["shared"]) > 60
     check()
-    trainer._forget_scene()
+    trainer.beginnings.forget_scene()
     assert len(trainer.state.gaussian_sets["shared"]) == 60
     check()
 
@@ -153,7 +153,7 @@ def test_an_interrupted_step_leaves_no_rows(tmp_path: Path) -> None:
     trainer = trained(tmp_path, 1, offload="on")
     optimizers = trainer.state.optimizers["shared"]
     kind = StepKind(1, densifying=True)
-    done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+    done = step_gradients(trainer, kind)
     assert done.observed is not None
     rows = optimizers["features"].rows
     assert rows is not None

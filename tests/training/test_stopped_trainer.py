@@ -21,10 +21,10 @@ from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.scene.model import SceneModel
 from thermosplat.stop_signals import stopped_by_signals
-from thermosplat.training import trainer as trainer_module
 from thermosplat.training import training_step
 from thermosplat.training.session import checkpoint_writer, run_results
 from thermosplat.training.session.interruption import TrainingInterrupted
+from thermosplat.training.stages import density
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -90,7 +90,7 @@ def test_interrupt_during_an_update(
 ) -> None:
     """Ctrl-C or SIGTERM while optimizers or density control are at work lets them finish first."""
     trainer = toy_trainer(tmp_path, toy_run_config(), capture)
-    owner = training_step if place == "step_unless" else trainer_module
+    owner = training_step if place == "step_unless" else density
     genuine: Callable[..., Any] = getattr(owner, place)
     done = []
 
@@ -298,7 +298,7 @@ def test_a_result_folder_that_goes_away_ends_the_training_with_its_place(
     def step(record: Any) -> None:
         genuine(record)
         if record.step == when:
-            trainer.checkpoints.wait()
+            trainer.keeping.writer.wait()
             folder.rename(tmp_path / "gone")
             if fate != "renamed":
                 shutil.rmtree(tmp_path / "gone")

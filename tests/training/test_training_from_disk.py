@@ -14,6 +14,7 @@ from thermosplat.config import AutoBudgetConfig, TrainConfig
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import packed_memory
+from thermosplat.datasets.kept_images import keep_images
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import NotWrittenError
 from thermosplat.runs.run_directory import RunDirectory
@@ -128,7 +129,7 @@ def test_what_was_kept_serves_a_resumed_run(tmp_path: Path, root: Path) -> None:
         seen.update({file.name: file.stat().st_mtime_ns for file in (tmp_path / "run" / "pixels").iterdir()})
 
     again.between_steps = look
-    again._keep_images()
+    keep_images(again.capture, again.run.path)
     look(again)
     assert kept.items() <= seen.items()
     RunDirectory.create(tmp_path / "run", overwrite=True)

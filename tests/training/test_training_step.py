@@ -11,8 +11,8 @@ import torch
 from thermosplat.config import DensificationConfig, LossConfig
 from thermosplat.training.density.gaussian_ops import prune
 from thermosplat.training.optimizers import gaussian_optimizers
-from thermosplat.training.training_step import StepKind, sh_degree_at
-from toy_run import many_frames, toy_run_config, toy_trainer
+from thermosplat.training.step_kind import StepKind, sh_degree_at
+from toy_run import many_frames, step_gradients, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 
@@ -27,8 +27,8 @@ def test_depths_are_drawn_together_late(tmp_path: Path) -> None:
     config = toy_run_config(max_steps=8, log_every=1)
     loss = dataclasses.replace(config.loss, depth_spread=0.1)
     config = dataclasses.replace(config, loss=loss)
-    assert [StepKind.at(config, step, densifying=False).depth_spread for step in (1, 4, 5, 8)] == [0, 0, 1, 1]
-    assert not StepKind.at(toy_run_config(), 12, densifying=False).depth_spread
+    assert [StepKind.at(config, step).depth_spread for step in (1, 4, 5, 8)] == [0, 0, 1, 1]
+    assert not StepKind.at(toy_run_config(), 12).depth_spread
     toy_trainer(tmp_path, config, many_frames(toy_capture())).train()
     lines = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines if "depth_spread" in line] == [5, 6, 7, 8]
@@ -62,7 +62,7 @@ def test_terms_have_their_weights(tmp_path: Path) -> None:
         first = trainer.model.gaussians(next(iter(trainer.model.gaussian_sets)))
         prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)  # of two sets, 40 and 60
         kind = StepKind(1, densifying=False, depth_spread=loss.depth_spread > 0)
-        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        done = step_gradients(trainer, kind)
         return {term: value.item() for term, value in done.losses.items()}
 
     once = losses("once", LossConfig(feature_norm=0.1, depth_spread=0.2))
@@ -91,7 +91,7 @@ def test_terms_of_three_sets_have_the_others_shares(tmp_path: Path) -> None:
         first = trainer.model.gaussians("rgb")
         prune(first, gaussian_optimizers(first, config.optimizer), torch.arange(60) < 20)
         kind = StepKind(1, densifying=False)
-        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        done = step_gradients(trainer, kind)
         found.append({term: value.item() for term, value in done.losses.items()})
     plain, balanced = found
     shares = {"rgb": 120 / 160 / 2, "thermal": 100 / 160 / 2, "nir": 100 / 160 / 2}

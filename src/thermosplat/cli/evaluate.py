@@ -12,7 +12,7 @@ from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.files import data_from_anywhere
 from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.printing import SafeConsole
-from thermosplat.spectra import BIAS, MAE, label, unit_label
+from thermosplat.spectra import label, measured_error
 
 if TYPE_CHECKING:
     from thermosplat.evaluation.labelled_regions import Regions
@@ -110,26 +110,32 @@ def _print_metrics(loaded: "LoadedRun", metrics: dict[str, Any], recalculated: s
 
     title = ", ".join(filter(None, (f"step {loaded.step:,}, {metrics['num_gaussians']:,} Gaussians", recalculated)))
     of_spectra = {name: metrics[name] for name in metrics["spectra"] if metrics[name] is not None}
-    measured = _measured_columns(of_spectra.values())
-    headings = [heading for heading, _, _ in measured]
-    table = Table("held-out views", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
+    measured = {name: _in_its_unit(numbers) for name, numbers in of_spectra.items()}
+    headings = ("MAE", "bias") if any(map(any, measured.values())) else ()
+    table = Table("held out", r"PSNR \[dB]", "SSIM", "LPIPS", *headings, title=title, title_justify="left")
     for name, numbers in of_spectra.items():
-        columns = (
-            ("psnr", ".2f"),
-            ("ssim", ".4f"),
-            ("lpips", ".4f"),
-            *((column, form) for _, column, form in measured),
-        )
-        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns))
+        columns = (("psnr", ".2f"), ("ssim", ".4f"), ("lpips", ".4f"))
+        errors = [error or "-" for error in measured[name][: len(headings)]]
+        table.add_row(label(name), *(_cell(numbers.get(column), form) for column, form in columns), *errors)
     SafeConsole(highlight=False, soft_wrap=True).print(table)
+
+
+def _in_its_unit(numbers: Mapping[str, Any]) -> tuple[str, str]:
+    """Mean absolute error and bias of a spectrum's measured values, with their unit; "": nothing is measured."""
+    found = {
+        error.heading: f"{number:{error.sign}.2f} {error.unit}"
+        for name, number in numbers.items()
+        if number is not None and (error := measured_error(name)) is not None
+    }
+    return found.get("MAE", ""), found.get("bias", "")
 
 
 def _measured_columns(numbers: Iterable[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
     """Heading, measure and form of the errors of measured values that are there."""
     found = dict.fromkeys(name for of_spectrum in numbers for name in of_spectrum)
-    columns = [(name, "MAE", MAE, ".2f") for name in found if name.startswith(MAE)]
-    columns += [(name, "bias", BIAS, "+.2f") for name in found if name.startswith(BIAS)]
-    return [(rf"{what} \[{unit_label(name.removeprefix(begin))}]", name, form) for name, what, begin, form in columns]
+    errors = [(name, error) for name in found if (error := measured_error(name)) is not None]
+    errors.sort(key=lambda one: one[1].heading)  # MAE of all units, then bias
+    return [(rf"{error.heading} \[{error.unit}]", name, f"{error.sign}.2f") for name, error in errors]
 
 
 def _print_regions(regions: "Regions") -> None:

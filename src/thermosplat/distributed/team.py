@@ -1,7 +1,7 @@
 """The ranks that train one scene: who this process is among them, and what it may ask of all.
 
 A team of W ranks divides N rows (Gaussians) into consecutive blocks of equal size, but for one row: rank 0 has the
-first. Every method is to be called by all ranks, in the same order.
+first. Every method is to be called by all ranks, in the same order. A team of one exchanges nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,6 +44,16 @@ class Team:
     device: torch.device
     """Where this rank's Gaussians are."""
 
+    @classmethod
+    def of_one(cls, device: torch.device) -> "Team":
+        """This process alone."""
+        return cls(0, 1, device)
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether there is one rank, which tells nobody anything."""
+        return self.size == 1
+
     @property
     def is_first(self) -> bool:
         """Whether this rank speaks and writes for all."""
@@ -51,7 +61,13 @@ class Team:
 
     def numbers(self, numbers: Sequence[int]) -> list[list[int]]:
         """Every rank's numbers, as many on each. The device is not waited for."""
+        if self.is_alone:
+            return [list(map(int, numbers))]
         return [[int(number) for number in of_rank] for of_rank in numbers_of_all(numbers, self.device)]
+
+    def all_can(self, can: bool) -> bool:
+        """Whether all ranks can do something that this one can, or cannot."""
+        return all(number for (number,) in self.numbers([can]))
 
     def block_of(self, rows: int) -> slice:
         """This rank's rows of so many."""
@@ -61,11 +77,13 @@ class Team:
 
     def sum_in_place(self, tensors: Sequence[Tensor]) -> None:
         """Replace tensors by their sums over all ranks."""
-        _reduce_in_place(tensors, dist.ReduceOp.SUM)
+        if not self.is_alone:
+            _reduce_in_place(tensors, dist.ReduceOp.SUM)
 
     def largest_in_place(self, tensors: Sequence[Tensor]) -> None:
         """Replace tensors by their largest values over all ranks."""
-        _reduce_in_place(tensors, dist.ReduceOp.MAX)
+        if not self.is_alone:
+            _reduce_in_place(tensors, dist.ReduceOp.MAX)
 
     def on_first(self, rows: Tensor, counts: Sequence[int]) -> Tensor | None:
         """Every rank's rows [n, ...], one below the other, on rank 0; None on the others.
@@ -97,18 +115,24 @@ class Team:
 
     def objects(self, own: Any) -> list[Any]:
         """Every rank's object, by rank."""
+        if self.is_alone:
+            return [own]
         gathered: list[Any] = [None] * self.size
         dist.all_gather_object(gathered, own)
         return gathered
 
     def object_of_first(self, own: Any = None) -> Any:
         """Rank 0's object."""
+        if self.is_alone:
+            return own
         held = [own]
         dist.broadcast_object_list(held, src=0, device=torch.device("cpu"))
         return held[0]
 
     def dealt(self, objects: Sequence[Any] | None) -> Any:
         """This rank's of the objects, one for each rank, that rank 0 has."""
+        if self.is_alone and objects is not None:
+            return objects[0]
         own: list[Any] = [None]
         dist.scatter_object_list(own, None if objects is None else list(objects), src=0)
         return own[0]

@@ -258,8 +258,9 @@ def _means(rows: list[dict[str, Any]], spectrum: str) -> dict[str, float | None]
 
 
 def _ordered(columns: Iterable[str]) -> list[str]:
-    """The metrics of every spectrum first, then the others by name."""
-    return [*COLUMNS, *sorted(set(columns) - set(COLUMNS))]
+    """The metrics of every spectrum first, then errors of measured values, then the others by name."""
+    others = sorted(set(columns) - set(COLUMNS))
+    return [*COLUMNS, *sorted(others, key=lambda name: not name.startswith(MAE))]
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:

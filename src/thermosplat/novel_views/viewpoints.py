@@ -19,6 +19,7 @@ from thermosplat.pictures.hatching import hatched
 from thermosplat.pictures.image_display import Image8, rgb_bytes, spectrum_bytes
 from thermosplat.pictures.layouts import Layout, arranged, with_legend
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.rendered_frame import LEAST_COVER
 from thermosplat.spectra import listed, unit_label
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
@@ -27,8 +28,6 @@ from thermosplat.thermography.scene_temperatures import SceneTemperatures
 PathName = Literal["interp", "ellipse", "spiral", "train", "test"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
 
-LEAST_COVER = 0.9
-"""Values that Gaussians cover less are mixed with the black behind, as in maps."""
 _PATHS = {"interp": interpolated_path, "ellipse": ellipse_path, "spiral": spiral_path}
 
 

@@ -148,7 +148,7 @@ def register_cameras(
             is_left = start + rank < len(looked_at)
             # a rank that has no frame left renders the last one, too: the others see its Gaussians by that
             frame = frames[looked_at[start + rank if is_left else -1]]
-            found = _equations(model, corrections, frame, number, sharpness, sh_degree, distributed=team is not None)
+            found = _equations(model, corrections, frame, number, sharpness, sh_degree, distributed=ranks > 1)
             views.append(found if is_left else Equations(*map(torch.zeros_like, found)))
         total = Equations(*(torch.stack(parts).sum(dim=0) for parts in zip(*views, strict=True)))
         if team is not None:

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from thermosplat.scene.formations.formation import Formation
 
 
+LEAST_COVER = 0.9
+"""Values of pixels that Gaussians cover less are not told: they would be mixed with the black behind. Open choice."""
+
+
 @dataclass
 class RenderedFrame:
     """The images of one exposure, and what they were decoded from, by spectrum; of those that were rendered."""

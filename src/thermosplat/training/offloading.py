@@ -55,20 +55,21 @@ class Decision(NamedTuple):
     """By set, the first Gaussians whose moments are on the device nevertheless; None: of no Gaussian."""
 
 
-def decided(config: TrainConfig, model: SceneModel, device: torch.device) -> Decision:
+def decided(config: TrainConfig, model: SceneModel, device: torch.device, *, divided: bool = False) -> Decision:
     """What to offload.
 
     Args:
         config: The whole configuration.
         model: The model at the start of the training or as it was resumed, anywhere.
         device: The device that trains it.
+        divided: Whether several processes train it.
 
     Raises:
         UserError: It is asked for where it does not work.
     """
     if config.offload == "off":
         return Decision("nothing")
-    why, most = refused(config), config.scenes * (config.densification.max_gaussians or 0)
+    why, most = refused(config, divided=divided), config.scenes * (config.densification.max_gaussians or 0)
     sizes = {name: SetSize.of(model, name, most) for name in model.gaussian_sets}
     if why is None and not any(size.movable for size in sizes.values()):
         why = "--offload found nothing to offload: there are no features and no spherical harmonics above degree 0."

@@ -146,3 +146,10 @@ def step_unless(blocked: Tensor, optimizers: Mapping[str, Optimizers]) -> None:
         elif not isinstance(optimizer, WarpAdam):
             optimizer.found_inf = blocked  # type: ignore[attr-defined]  # as torch.amp.GradScaler tells a fused one
             optimizer.step()
+
+
+def set_betas(optimizers: Optimizers, betas: tuple[float, float]) -> None:
+    """Let the moments of optimizers, given by parameter name, decay so fast."""
+    for optimizer in optimizers.values():
+        for group in optimizer.param_groups:
+            group["betas"] = betas

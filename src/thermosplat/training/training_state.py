@@ -1,7 +1,8 @@
 """Everything that changes while training, and that a checkpoint must hold to go on exactly."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
 import torch
@@ -33,6 +34,10 @@ from thermosplat.training.optimizers import (
     parameter_optimizers,
     set_learning_rates,
 )
+
+_OF_SCENES = ("camera_passes", "scenes_left")
+_OF_BUDGETS = ("growing", "offsets_dropped", "budget_due", "trimmed", "best_validation")
+"""What checkpoints hold as it is."""
 
 
 @dataclass
@@ -68,7 +73,6 @@ class TrainingState:
         scenes_left: Scenes that are to be trained before all become one, with the one under way; 0: there is one.
         kept_scenes: Those that are trained, in the host's memory. Of ranks that share the model only the first has
             them; the others hold empty ones in their place.
-        noisy: Spectra whose images counted as noisy when the run began: those of a resumed one may be smaller.
         growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
         offsets_dropped: Whether opacity offsets that are zero stay zero.
         budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
@@ -129,7 +133,6 @@ class TrainingState:
         self._batch_rate = math.sqrt(config.batch_size or 1)  # of the others, run_schedule has multiplied the rates
         self.noise = torch.Generator(device)
         self.seconds = Seconds()
-        self.noisy: tuple[str, ...] = ()
         self.counts: dict[str, list[int]] | None = None
         """Gaussians of each rank by set, where they are divided over ranks: this state then holds one rank's."""
 
@@ -141,6 +144,21 @@ class TrainingState:
         self.best_validation = (-math.inf, 0)
         if self.noise_watch is not None:
             self.noise_watch.forget()
+
+    @contextmanager
+    def showing(self, whole: SceneModel) -> Iterator[None]:
+        """Around what judges or writes the model: let it be the whole one, of which this is a share.
+
+        Args:
+            whole: The model of all ranks.
+        """
+        share, sets, counts = self.model, self.gaussian_sets, self.counts
+        self.model, self.counts = whole, None
+        self.gaussian_sets = {name: whole.gaussians(name) for name in whole.gaussian_sets}
+        try:
+            yield
+        finally:
+            self.model, self.gaussian_sets, self.counts = share, sets, counts
 
     @torch.no_grad()
     def take(self, sets: Mapping[str, Gaussians]) -> None:
@@ -213,6 +231,11 @@ class TrainingState:
     def num_gaussians(self, name: str) -> int:
         """Gaussians of a set, of all ranks."""
         return len(self.gaussian_sets[name]) if self.counts is None else sum(self.counts[name])
+
+    @property
+    def all_gaussians(self) -> int:
+        """Gaussians of all sets and ranks."""
+        return sum(map(self.num_gaussians, self.gaussian_sets))
 
     def begin_step(self, step: int, config: OptimizerConfig, scene_extent: float) -> None:
         """Tell the device the step's number and learning rates, and forget what an interrupted step left.
@@ -294,15 +317,8 @@ class TrainingState:
             strategies={name: strategy.state_dict() for name, strategy in self.strategies.items()},
             exposures=self.exposures.state_dict() if self.exposures is not None else None,
             corrections=self.corrections.state_dict() if self.corrections is not None else None,
-            camera_passes=self.camera_passes,
-            scenes_left=self.scenes_left,
             kept_scenes=tuple({name: dict(packed) for name, packed in scene.items()} for scene in self.kept_scenes),
-            noisy=self.noisy,
-            growing=self.growing,
-            offsets_dropped=self.offsets_dropped,
-            budget_due=self.budget_due,
-            trimmed=self.trimmed,
-            best_validation=self.best_validation,
+            **{name: getattr(self, name) for name in (*_OF_SCENES, *_OF_BUDGETS)},
             noise_watch=None if self.noise_watch is None else self.noise_watch.state_dict(teachers=not self.trimmed),
             seconds=asdict(self.seconds),
         )
@@ -343,22 +359,27 @@ class TrainingState:
             self.exposures.load_state_dict(training.exposures or {})
         if self.corrections is not None:
             self.corrections.load_state_dict(training.corrections or {})
-        self.camera_passes = training.camera_passes
-        self.scenes_left, self.kept_scenes = training.scenes_left, list(training.kept_scenes)
+        for name in _OF_SCENES:
+            setattr(self, name, getattr(training, name))
+        self.kept_scenes = list(training.kept_scenes)
         for scene in filter(None, self.kept_scenes):
             restored_sets(scene, checkpoint.config, self.model.formations)  # whether it can be
-        self.noisy = self.noisy if training.noisy is None else training.noisy
-        self.growing = training.growing
-        self.offsets_dropped = training.offsets_dropped
-        self.budget_due = training.budget_due
-        self.trimmed = training.trimmed
-        self.best_validation = training.best_validation
+        self.load_budget(training)
         if training.noise_watch is not None:
             device = self.step_on_device.device
             self.noise_watch = NoiseWatch(training.noise_watch["noise"], self.num_frames, device)
             self.noise_watch.load_state_dict(training.noise_watch)
             self.noise_watch.load_teachers(training.noise_watch, checkpoint)
         self.seconds = Seconds(**training.seconds or {})
+
+    def load_budget(self, training: SavedTraining) -> None:
+        """How far a budget has come.
+
+        Args:
+            training: What a checkpoint holds of a training.
+        """
+        for name in _OF_BUDGETS:
+            setattr(self, name, getattr(training, name))
 
 
 def _learnt(optimizer: torch.optim.Adam) -> list[Tensor]:

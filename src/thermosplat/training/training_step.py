@@ -1,11 +1,11 @@
 """What a training step does on the device: render, compare, differentiate, update, take note.
 
 Nothing in here reads a value back, so the same lines run one by one or, captured once, as one CUDA graph
-(captured_steps.py).
+(recorded_steps.py).
 """
 
 import functools
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,125 +28,45 @@ from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
-from thermosplat.training.exposures import FROM as EXPOSED_FROM
 from thermosplat.training.finite_guard import FiniteGuard
-from thermosplat.training.frames.resolution_schedule import image_factor
 from thermosplat.training.optimizers import step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
-from thermosplat.training.sharing.calls import Calls, Group, render_with_others
+from thermosplat.training.sharing.calls import Calls, calls_of, infos_of_frame, render_with_others
+from thermosplat.training.sharing.replicated import add_up_replicated, tell_errors
 from thermosplat.training.sharing.taking_part import TakingPart
+from thermosplat.training.step_kind import Group, Plan, StepKind, StepValues
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState
 
-DEPTH_SPREAD_FROM = 0.5
-"""Share of the steps before the spread of depths along rays counts. Open choice."""
 DEPTH_SPREAD_LIMIT = 0.1
 """v0 of v / (1 + v / v0), which is taken of each pixel's spread v, so that contours, where surfaces far apart meet in a
 pixel, count for less: half of one and half of another 1.88 times as far is 0.1. 0: v itself. Open choice."""
-
-
-@dataclass(frozen=True)
-class StepValues:
-    """What a step says of itself, on the device; of a captured step, until the next one overwrites it."""
-
-    losses: dict[str, Tensor]
-    """Weighted loss terms by name."""
-    squared_errors: dict[str, Tensor]
-    """Mean squared error of the step's own images, clamped to [0, 1], by spectrum."""
-
-
-@dataclass(frozen=True)
-class StepKind:
-    """What the host decides about a step, beside the frame."""
-
-    sh_degree: int
-    """Degree of the spherical harmonics in use."""
-    densifying: bool
-    """Note gradients for the next refinement."""
-    depth_spread: bool = False
-    """Let the spread of depths along rays be a loss."""
-    swept_depths: bool = False
-    """Let depths be drawn to those that plane sweeps found."""
-    refining: bool = False
-    """Correct the cameras."""
-    exposing: bool = False
-    """Let the exposures of the frame follow its images."""
-    geometry_held: bool = False
-    """Let the images of the first spectrum alone shape the Gaussians, and leave opacity offsets at zero."""
-    image_factor: float = 1.0
-    """What the sides of the images are divided by."""
-    taught: tuple[str, ...] = ()
-    """Spectra that are compared with what a teacher shows, in place of images."""
-
-    @classmethod
-    def at(
-        cls,
-        config: TrainConfig,
-        step: int,
-        *,
-        densifying: bool,
-        cameras_found_at: float | None = None,
-        taught: tuple[str, ...] = (),
-    ) -> "StepKind":
-        """What is done in a step.
-
-        Args:
-            config: The whole configuration.
-            step: The step, from 1.
-            densifying: As the field.
-            cameras_found_at: What the sides of the images are divided by while cameras are found; None: the step
-                trains the scene with them.
-            taught: As the field.
-        """
-        loss, swept = config.loss, any(one.swept_depth > 0 for one in config.modelled.values())
-        factor = image_factor(config, step) if cameras_found_at is None else cameras_found_at
-        refining = bool(config.refine) and step > config.refine_from
-        return cls(
-            sh_degree_at(config, step),
-            densifying,
-            depth_spread=loss.depth_spread > 0 and step > DEPTH_SPREAD_FROM * config.max_steps,
-            swept_depths=swept and factor == 1.0,
-            refining=refining,
-            exposing=step > EXPOSED_FROM * config.max_steps,
-            geometry_held=cameras_found_at is not None,
-            image_factor=factor,
-            taught=taught,
-        )
-
-
-@dataclass(frozen=True)
-class Part:
-    """What a frame is of a step that may have several, on several ranks."""
-
-    weight: float = 1.0
-    """Of its losses; one by the number of frames."""
-    penalised: Collection[str] | None = None
-    """The sets of Gaussians whose own penalties come with this frame; None: those that it renders."""
-    calls: Calls | None = None
-    """The groups of spectra that this rank and the others render now; None: the Gaussians are not divided."""
-    team: Team | None = None
-    """The ranks; None: there is one."""
-
-
-WHOLE_STEP = Part()
 TAKING_PART = "taking part"
 """The loss term, always zero, that lets gradients travel between ranks."""
 
 
 @dataclass(frozen=True)
+class Part:
+    """What a frame is of its step."""
+
+    weight: float
+    """Of its losses; one by the number of frames."""
+    penalised: Collection[str]
+    """The sets of Gaussians whose own penalties come with this frame."""
+    calls: Calls | None
+    """The groups of spectra that this rank and the others render now; None: there is one rank."""
+
+
+@dataclass(frozen=True)
 class Differentiated:
-    """A rendered frame and what its comparison gave, after the backward pass."""
+    """What comparing rendered frames gave, after the backward passes."""
 
     rendered: RenderedFrame
+    """The last frame."""
     losses: dict[str, Tensor]
     squared_errors: dict[str, Tensor]
-    observed: list[dict[str, list[Any]]] | None = None
-    """What density control looks at of each frame, by set; None: the one frame's infos."""
-
-
-def sh_degree_at(config: TrainConfig, step: int) -> int:
-    """Degree of the spherical harmonics in a step: one more every ``sh_degree_interval`` steps. 3DGS."""
-    return min(int(max(step - 1, 0) // config.sh_degree_interval), config.sh_degree)
+    observed: Sequence[dict[str, list[Any]]] = ()
+    """What density control looks at of each frame, by set."""
 
 
 def _of_penalties(config: TrainConfig, kind: StepKind) -> LossConfig:
@@ -162,10 +82,11 @@ class TrainingStep:
         state: Model, optimizers and density control.
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
-        decoding: Opened around rendering and backward pass; what makes decoders fast.
+        team: The ranks that train the scene.
         tolerances: Of a budget.
 
     Attributes:
+        decoding: Opened around rendering and backward pass; what makes decoders fast.
         swept: Depths of the training views; None: there are none, or not yet.
     """
 
@@ -175,7 +96,7 @@ class TrainingStep:
         state: TrainingState,
         guard: FiniteGuard,
         capacity: PairCapacity,
-        decoding: Callable[[], AbstractContextManager[None]] = nullcontext,
+        team: Team,
         tolerances: Tolerances = TOLERANCES,
     ) -> None:
         self.config = config
@@ -183,44 +104,69 @@ class TrainingStep:
         self.state = state
         self.guard = guard
         self.capacity = capacity
-        self.decoding = decoding
+        self.team = team
+        self.decoding: Callable[[], AbstractContextManager[None]] = nullcontext
         self.swept: SweptDepths | None = None
         self._one = torch.ones_like(guard.blocked)
 
-    def gradients(self, frame: FrameTensors, kind: StepKind, *, fixed_capacity: bool) -> Differentiated:
-        """Render the frame, compare it with its images, and leave the gradients on the parameters.
-
-        Args:
-            frame: The frame.
-            kind: What is done with it.
-            fixed_capacity: Render without reading numbers of pairs back.
-
-        Raises:
-            UserError: If no loss has a weight.
-        """
-        done = self.differentiate(frame, kind, WHOLE_STEP, fixed_capacity=fixed_capacity)
-        if done.rendered.in_view:
-            hand_rows_over(done.rendered, self.state.optimizers)
-            if kind.densifying:
-                numbers = {name: len(gaussians) for name, gaussians in self.state.gaussian_sets.items()}
-                done = replace(done, observed=[observed_in_order(done.rendered, numbers)])
-        self.guard.observe(self.state.step_on_device, done.losses, self.state.gradients_to_watch())
-        return done
-
-    def differentiate(
-        self, frame: FrameTensors, kind: StepKind, part: Part, *, fixed_capacity: bool = False
+    def gradients(
+        self, frames: Iterable[FrameTensors], kind: StepKind, plan: Plan, *, fixed_capacity: bool
     ) -> Differentiated:
-        """Add a frame's gradients to those on the parameters.
+        """Render the frames, compare them with their images, and leave the gradients on the parameters.
 
         Args:
-            frame: The frame.
-            kind: What is done with it.
-            part: What it is of the step.
+            frames: This rank's, one for each round of the plan.
+            kind: What is done with them.
+            plan: The step's frames.
             fixed_capacity: Render without reading numbers of pairs back.
 
         Raises:
             UserError: If no loss has a weight.
         """
+        state, team = self.state, self.team
+        parts, observed, overflows, indices = [], [], [], []
+        done: Differentiated | None = None
+        for number, (groups, frame) in enumerate(zip(plan.rounds, frames, strict=True)):
+            calls = None if team.is_alone else calls_of(groups, team, next(iter(state.gaussian_sets.values())).means)
+            part = Part(1.0 / plan.frames, plan.penalised if number == 0 else (), calls)
+            done = None  # what it holds of the frame before is not needed while this one is rendered
+            done = self.differentiate(frame, kind, part, fixed_capacity=fixed_capacity)
+            if done.rendered.in_view:
+                hand_rows_over(done.rendered, state.optimizers)
+            parts.append((done.losses, done.squared_errors))
+            if kind.densifying:
+                observed += self._observed(done.rendered, calls, len(groups), plan)
+            if len(plan.rounds) > 1:
+                overflows.append(self.capacity.overflow.clone())
+            if not team.is_alone and frame.index is not None:
+                indices.append(frame.index.clone())
+        if done is None:
+            raise ValueError("A step has no frame.")
+        losses, errors = parts[0] if plan.frames == 1 and team.is_alone else _added_up(parts, plan, team)
+        if not team.is_alone:
+            add_up_replicated(team, state)
+            tell_errors(team, state, indices)
+        self.guard.observe(state.step_on_device, losses, state.gradients_to_watch())
+        if overflows:
+            self.capacity.overflow.copy_(torch.stack(overflows).amax())
+        team.largest_in_place([self.guard.blocked, self.capacity.overflow])
+        return replace(done, losses=losses, squared_errors=errors, observed=observed)
+
+    def _observed(
+        self, rendered: RenderedFrame, calls: Calls | None, frames: int, plan: Plan
+    ) -> list[dict[str, list[Any]]]:
+        """What density control looks at of so many frames that were rendered at a time, one of each rank."""
+        if calls is not None:
+            cameras = range(frames)
+            return [infos_of_frame(rendered.infos, k, calls.of_ranks[k], plan.frames) for k in cameras]
+        if plan.frames > 1:
+            return [infos_of_frame(rendered.infos, 0, None, plan.frames)]
+        if rendered.in_view:
+            return [observed_in_order(rendered, {name: len(held) for name, held in self.state.gaussian_sets.items()})]
+        return [rendered.infos]
+
+    def differentiate(self, frame: FrameTensors, kind: StepKind, part: Part, *, fixed_capacity: bool) -> Differentiated:
+        """Add a frame's gradients to those on the parameters."""
         state = self.state
         frame = with_unit_images(frame)
         if state.corrections is not None and frame.index is not None:
@@ -252,7 +198,7 @@ class TrainingStep:
             with torch.autograd.set_multithreading_enabled(False):
                 torch.autograd.backward(list(losses.values()), [shares.get(name, self._one) for name in losses])
         losses.pop(TAKING_PART, None)
-        return Differentiated(rendered, losses, errors)
+        return Differentiated(rendered, {name: loss.detach() for name, loss in losses.items()}, errors)
 
     def _rendered(self, frame: FrameTensors, kind: StepKind, part: Part) -> RenderedFrame:
         """The frame's images as the losses see them: with the exposures of its photographs."""
@@ -291,8 +237,6 @@ class TrainingStep:
         config, state = self.config, self.state
         compared = compare_frame(rendered, frame, config)
         losses = dict(compared.losses)
-        if part.penalised is None:
-            losses |= self._feature_norm()
         if kind.swept_depths and self.swept and frame.index is not None:
             losses |= self.swept.losses(rendered, frame.index)
         if kind.depth_spread and rendered.depth_spreads:
@@ -302,45 +246,33 @@ class TrainingStep:
             losses = balanced_losses(losses, compared.spectra, numbers)
         if part.weight != 1.0:
             losses = {name: part.weight * loss for name, loss in losses.items()}
-        # of sets that this step renders: nothing would hold others against their penalties
-        if part.penalised is None:
-            seen = {name: _seen(rendered, name, len(state.gaussian_sets[name])) for name in rendered.infos}
-            rendered_sets = {name: state.gaussian_sets[name] for name in rendered.infos}
-            losses |= gaussian_penalties(rendered_sets, _of_penalties(config, kind), state.scene_extent, seen)
-        else:
-            losses |= self._penalties_of_shares(part, _of_penalties(config, kind), rendered)
+        losses |= self._penalties(part, _of_penalties(config, kind), rendered)
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             images = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
             losses[TAKING_PART] = TakingPart.apply(*images)
         return replace(compared, losses=losses)
 
-    def _penalties_of_shares(self, part: Part, weights: LossConfig, rendered: RenderedFrame) -> dict[str, Tensor]:
-        """Penalties on this rank's share of some sets, which over all ranks add up to those on the sets.
+    def _penalties(self, part: Part, weights: LossConfig, rendered: RenderedFrame) -> dict[str, Tensor]:
+        """Penalties on the Gaussians of the sets that the step renders: nothing would hold others against theirs.
 
-        Whichever rank renders it, the first frame of a step says which Gaussians are seen.
+        On several ranks those on this rank's share, which over all ranks add up to those on the sets. Whichever rank
+        renders it, the first frame of a step says which Gaussians are seen.
         """
-        state, names = self.state, list(part.penalised or ())
-        if not names:
-            return {}
-        shares = {name: state.gaussian_sets[name] for name in names}
-        groups = None if part.calls is None else part.calls.of_ranks[0]
-        seen = {name: _seen(rendered, name, len(share), groups) for name, share in shares.items()}
-        numbers = torch.stack([of_set.sum() for of_set in seen.values()]).float()
-        if part.team is not None:
-            part.team.sum_in_place([numbers])
-        total = gaussian_penalties(shares, weights, state.scene_extent, seen, dict(zip(names, numbers)))
-        if SHARED in shares:
-            share = len(shares[SHARED]) / max(state.num_gaussians(SHARED), 1)
-            total |= {term: share * penalty for term, penalty in self._feature_norm().items()}
-        return total
-
-    def _feature_norm(self) -> dict[str, Tensor]:
-        """The penalty on the latent features, where there are some and it is asked for."""
+        state, shares = self.state, {name: self.state.gaussian_sets[name] for name in part.penalised}
+        total: dict[str, Tensor] = {}
+        if shares and (weights.opacity_reg > 0 or weights.scale_reg > 0):
+            groups = None if part.calls is None else part.calls.of_ranks[0]
+            seen = {name: _seen(rendered, name, len(share), groups) for name, share in shares.items()}
+            numbers = {name: of_set.sum() for name, of_set in seen.items()}
+            self.team.sum_in_place(list(numbers.values()))
+            total |= gaussian_penalties(shares, weights, state.scene_extent, seen, numbers)
         weight = self.config.loss.feature_norm
-        if weight == 0 or not self.state.model.has_features:
-            return {}
-        return {"feature_norm": weight * feature_norm_loss(self.state.gaussian_sets[SHARED].features)}
+        if weight > 0 and SHARED in shares and state.model.has_features:
+            penalty = weight * feature_norm_loss(shares[SHARED].features)
+            share = len(shares[SHARED]) / max(state.num_gaussians(SHARED), 1)
+            total["feature_norm"] = penalty if self.team.is_alone else share * penalty
+        return total
 
     def update(self, kind: StepKind, done: Differentiated) -> StepValues:
         """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
@@ -369,11 +301,25 @@ class TrainingStep:
                 shrink_offsets(gaussians, state.optimizers[name], self.tolerances.offset_shrinkage, blocked)
         state.clear_gradients()
         if kind.densifying:
-            for infos in done.observed if done.observed is not None else [done.rendered.infos]:
+            for infos in done.observed:
                 for name, strategy in state.strategies.items():
                     strategy.observe(infos.get(name, []), blocked)
-        losses = {name: loss.detach() for name, loss in done.losses.items()}
-        return StepValues(losses, done.squared_errors)
+        return StepValues(done.losses, done.squared_errors)
+
+
+def _added_up(parts: Sequence[tuple[dict[str, Tensor], dict[str, Tensor]]], plan: Plan, team: Team) -> Any:
+    """Loss terms and squared errors of a step's frames; a rank says of all frames what it saw of its own."""
+    losses: dict[str, list[Tensor]] = {}
+    errors: dict[str, list[Tensor]] = {}
+    for of_frame in parts:
+        for held, found in zip((losses, errors), of_frame, strict=True):
+            for name, value in found.items():
+                held.setdefault(name, []).append(value)
+    more = plan.frames / max(sum(team.rank < len(groups) for groups in plan.rounds), 1)
+    return (
+        {name: torch.stack(values).sum() * more for name, values in losses.items()},
+        {name: torch.stack(values).mean() for name, values in errors.items()},
+    )
 
 
 def _seen(rendered: RenderedFrame, name: str, number: int, groups: Collection[Group] | None = None) -> Tensor:

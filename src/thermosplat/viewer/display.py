@@ -94,9 +94,9 @@ def isotherms(field: NDArray[np.floating], step: float) -> NDArray[np.bool_]:
         field: Values, shape [H, W].
         step: Distance of the lines, > 0, in the unit of the values.
     """
-    level = np.floor(field / step)
     line = np.zeros(field.shape, bool)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(all="ignore"):  # a step too small for the values' precision has no lines
+        level = np.floor(field / step)
         for axis in (0, 1):
             change = np.diff(level, axis=axis)
             passed = np.isfinite(change) & (change != 0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture, Frame, View
-from thermosplat.prepare.checking.quick_check import quick_notes
+from thermosplat.prepare.checking.quick_check import drift_notes
 from thermosplat.spectra import DEFAULT_SPECTRA
 from thermosplat.thermal.radiometry import PixelScale
 
@@ -26,10 +26,10 @@ def scalar(capture: Capture, change: float) -> Capture:
 def test_steady_and_drifting_sensors() -> None:
     """A steady sensor says nothing; one that drifts names the flag, unless that is set."""
     sample = load_capture("sample")
-    assert quick_notes(sample, DEFAULT_SPECTRA) == []
-    assert quick_notes(scalar(sample, 0.0), DEFAULT_SPECTRA) == []
+    assert drift_notes(sample, DEFAULT_SPECTRA) == []
+    assert drift_notes(scalar(sample, 0.0), DEFAULT_SPECTRA) == []
     drifting = scalar(sample, 0.02)
-    (note,) = quick_notes(drifting, DEFAULT_SPECTRA)
+    (note,) = drift_notes(drifting, DEFAULT_SPECTRA)
     assert "--thermal.exposure level" in note
     allowed = {**DEFAULT_SPECTRA, "thermal": replace(DEFAULT_SPECTRA["thermal"], exposure="level")}
-    assert quick_notes(drifting, allowed) == []
+    assert drift_notes(drifting, allowed) == []

@@ -16,12 +16,12 @@ from thermosplat.image_quality.metrics import psnr
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.budget import image_change
-from thermosplat.training.budget.auto_budget import AutoBudget
 from thermosplat.training.budget.image_change import ImageChange
 from thermosplat.training.budget.offset_shrinkage import drop_offsets
 from thermosplat.training.budget.tolerances import Tolerances
 from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.session.run_metrics import feature_channels, offsets_kept
+from thermosplat.training.stages.auto_budget import AutoBudget
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer, without
 from toy_scene import toy_capture, with_spectra
@@ -410,7 +410,7 @@ def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.
         seen.append((change.errors.keys() - {"rgb", "thermal"}, tolerance))
         return 8
 
-    monkeypatch.setattr("thermosplat.training.budget.auto_budget.reduce_features", note)
+    monkeypatch.setattr("thermosplat.training.stages.auto_budget.reduce_features", note)
     config, capture = budget_config(), many_frames(toy_capture(), FRAMES)
     configs = {
         "all": config,
@@ -438,7 +438,7 @@ def test_resumed_run_is_the_same(tmp_path: Path, stop: int, spectra: dict[str, d
     advance(whole, 36)
     half = toy_trainer(tmp_path / "half", config, capture)
     advance(half, stop)
-    half._save()
+    half.save()
     resumed = Trainer.resume(config, capture, half.run)
     assert resumed.state.best_validation == half.state.best_validation
     advance(resumed, 36)

@@ -18,9 +18,17 @@ from thermosplat.training.budget.noise_floor import gradient_shares, noise_floor
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.image_noise import training_noise
 from thermosplat.training.sensor_facts import SensorFacts
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import assert_same_state, many_frames, state_tensors, tolerating, toy_run_config, toy_trainer
+from toy_run import (
+    assert_same_state,
+    many_frames,
+    state_tensors,
+    step_gradients,
+    tolerating,
+    toy_run_config,
+    toy_trainer,
+)
 from toy_scene import toy_capture
 
 
@@ -64,7 +72,7 @@ def watch_of(trainer: Trainer, floor: float) -> NoiseWatch:
 def gradients(trainer: Trainer) -> dict[str, torch.Tensor]:
     """Gradients of a step on the first frame, by parameter."""
     trainer.state.clear_gradients()
-    trainer.device_step.gradients(trainer.frames[0], StepKind(0, densifying=False), fixed_capacity=False)
+    step_gradients(trainer, StepKind(0, densifying=False))
     model = trainer.model.named_parameters()
     return {name: parameter.grad.clone() for name, parameter in model if parameter.grad is not None}
 
@@ -83,12 +91,12 @@ def test_floor_is_a_share_of_the_noise_of_each_spectrum(tmp_path: Path) -> None:
     assert trainer.state.noise_watch.noise == floors
     for name, of_frames in trainer.state.noise_watch.floors.items():
         assert of_frames.tolist() == pytest.approx([floors[name]] * len(trainer.frames))
-    assert trainer.image_notes == notes
+    assert trainer.recipe.notes == notes
     limit = -10 * math.log10(floors["rgb"])
     assert notes[0].startswith("Noise of the RGB images at least 0.04")
     assert notes[0].endswith(f"training views are fitted up to {limit:.1f} dB.")
     plain = toy_trainer(tmp_path / "b", toy_run_config(), capture)
-    assert (plain.state.noise_watch, plain.image_notes) == (None, ())
+    assert (plain.state.noise_watch, plain.recipe.notes) == (None, ())
 
 
 def test_images_without_noise_have_no_floor(tmp_path: Path) -> None:

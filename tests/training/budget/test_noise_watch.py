@@ -171,7 +171,7 @@ def watched() -> TrainConfig:
 def noisy_run(folder: Path, config: TrainConfig, noise: float, frames: int = FRAMES) -> Trainer:
     """With that variance of noise in RGB, whatever its images have, which do not count as noisy."""
     trainer = toy_trainer(folder, config, many_frames(toy_capture(), frames))
-    trainer.state.noisy = ()
+    trainer.budget.noisy = False  # type: ignore[union-attr]
     trainer.state.noise_watch = NoiseWatch({"rgb": noise}, len(trainer.frames), trainer.device)
     return trainer
 
@@ -223,7 +223,7 @@ def test_few_noisy_views_stay_withheld_up_to_the_last_removal(
 ) -> None:
     """As many do, where images count as noisy: only they say when noise is learnt. RGB falls and goes back."""
     trainer = noisy_run(tmp_path, watched(), NOISE, FRAMES - 2)
-    trainer.state.noisy = ("rgb",)
+    trainer.budget.noisy = True  # type: ignore[union-attr]
     advance(trainer, 19)
     watch = trainer.state.noise_watch
     assert watch is not None
@@ -301,7 +301,7 @@ def test_resumed_run_is_the_same(
     tmp_path: Path, worse: None, monkeypatch: pytest.MonkeyPatch, batch_size: int | None
 ) -> None:
     """Cut before a spectrum is held, after that, and when it has gone back to its best."""
-    monkeypatch.setattr("thermosplat.training.trainer.noise_floors", lambda *of: ({"rgb": NOISE}, ()))
+    monkeypatch.setattr("thermosplat.training.recipe.noise_floors", lambda *of: ({"rgb": NOISE}, ()))
     config = dataclasses.replace(watched(), batch_size=batch_size)
     capture = many_frames(toy_capture(), FRAMES)
     end = 24 if batch_size is None else 12

@@ -15,12 +15,21 @@ from thermosplat.rasterizer.pair_capacity import CALLS
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.teacher import Teacher, may_teach
-from thermosplat.training.captured_steps import CapturedSteps
 from thermosplat.training.frames.shrunk_frames import area_averages, shrunk_frame
+from thermosplat.training.new_scenes import NewScenes
 from thermosplat.training.sharing.shares import shares_of
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import enlarged, many_frames, state_tensors, through, tolerating, toy_run_config, toy_trainer
+from toy_run import (
+    enlarged,
+    many_frames,
+    state_tensors,
+    step_gradients,
+    through,
+    tolerating,
+    toy_run_config,
+    toy_trainer,
+)
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model
 
 TAUGHT = StepKind(0, densifying=False, taught=("rgb",))
@@ -70,7 +79,7 @@ def errors_against(trainer: Trainer, *, teacher: bool) -> float:
 def gradients(trainer: Trainer, kind: StepKind = TAUGHT) -> dict[str, torch.Tensor]:
     """Gradients of a step on the first frame, by parameter."""
     trainer.state.clear_gradients()
-    trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+    step_gradients(trainer, kind)
     model = trainer.model.named_parameters()
     return {name: parameter.grad.clone() for name, parameter in model if parameter.grad is not None}
 
@@ -153,7 +162,7 @@ def test_other_spectra_are_trained_on_their_images(tmp_path: Path) -> None:
     shown = trainer.state.noise_watch.teachers["rgb"].targets("rgb", trainer.frames[0], None)
     other = toy_trainer(tmp_path / "b", still(10), many_frames(toy_capture()))
     other.state.clear_gradients()
-    other.device_step.gradients(shown, StepKind(0, densifying=False), fixed_capacity=False)
+    step_gradients(other, StepKind(0, densifying=False), shown)
     expected = {name: value.grad for name, value in other.model.named_parameters() if value.grad is not None}
     assert found.keys() == expected.keys()
     for name, gradient in expected.items():
@@ -231,7 +240,7 @@ def test_where_there_is_no_room_floors_hold(tmp_path: Path, monkeypatch: pytest.
     assert watch.floors_of(torch.tensor(0), 0.0)["rgb"].item() == pytest.approx(0.02)
     trainer = taught(tmp_path, still(6))
     trainer.save()
-    monkeypatch.setattr(Trainer, "_teaches", lambda self: False)
+    monkeypatch.setattr(NewScenes, "may_teach", lambda self, model: False)
     resumed = Trainer.resume(still(6), trainer.capture, trainer.run)
     assert resumed.state.taught == ()
 
@@ -260,13 +269,13 @@ def test_captured_steps_train_on_what_a_teacher_shows(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path / "a", config, many_frames(toy_capture()))
     while trainer.step < 40:
         trainer._train_step()
-    assert isinstance(trainer.steps, CapturedSteps)
-    assert {work.kind.taught for work in trainer.steps._graphs} == {()}
+    assert trainer.steps.recordings is not None
+    assert {work.kind.taught for work in trainer.steps.recordings._graphs} == {()}
     other = taught(tmp_path / "b", config)
     trainer.state.noise_watch = other.state.noise_watch
     near = errors_against(trainer, teacher=True)
     while trainer.step < 120:
         trainer._train_step()
-    assert {work.kind.taught for work in trainer.steps._graphs} == {("rgb",)}
+    assert {work.kind.taught for work in trainer.steps.recordings._graphs} == {("rgb",)}
     assert trainer.guard.first_bad() is None
     assert errors_against(trainer, teacher=True) < 0.5 * near

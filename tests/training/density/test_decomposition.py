@@ -16,9 +16,9 @@ from thermosplat.training.density.decomposition import DecomposingStrategy
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.density.gradient_control import DefaultStrategy
 from thermosplat.training.optimizers import gaussian_optimizers, set_learning_rates
+from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from thermosplat.training.training_step import StepKind
-from toy_run import density_in_steps, toy_run_config, toy_trainer
+from toy_run import density_in_steps, step_gradients, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
 OFF = 0.003
@@ -243,7 +243,7 @@ def test_spectra_are_rendered_apart(tmp_path: Path) -> None:
         config = dataclasses.replace(config, densification=densification)
         trainer = toy_trainer(tmp_path / strategy, config, toy_capture())
         kind = StepKind(0, densifying=False)
-        done = trainer.device_step.gradients(trainer.frames[0], kind, fixed_capacity=False)
+        done = step_gradients(trainer, kind)
         assert [info["spectra"] for info in done.rendered.infos["shared"]] == expected
 
 
@@ -253,7 +253,7 @@ def test_resumed_run_may_begin_to_divide(tmp_path: Path, monkeypatch: pytest.Mon
     first = toy_trainer(tmp_path, config, toy_capture())
     while first.step < 5:
         first._train_step()
-    first._save()
+    first.save()
     densification = dataclasses.replace(config.densification, strategy="decomposing")
     monkeypatch.setattr(decomposition, "CONFLICT_THRESHOLD", 1e-6)
     changed = dataclasses.replace(config, densification=densification)

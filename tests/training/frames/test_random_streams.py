@@ -2,7 +2,8 @@
 
 import torch
 
-from thermosplat.training.frames.random_streams import FrameOrder, random_stream
+from thermosplat.training.frames.random_streams import random_stream
+from thermosplat.training.frames.spectrum_schedule import FrameOrder
 
 
 def test_streams_are_named() -> None:

@@ -8,8 +8,7 @@ import torch
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
-from thermosplat.training.frames.random_streams import FrameOrder
-from thermosplat.training.frames.spectrum_schedule import Span, SpectrumSchedule, set_span, spectrum_spans
+from thermosplat.training.frames.spectrum_schedule import FrameOrder, Span, SpectrumSchedule, set_span, spectrum_spans
 from thermosplat.training.frames.train_frames import TrainFrames
 from toy_run import many_frames, toy_run_config, without
 from toy_scene import toy_capture

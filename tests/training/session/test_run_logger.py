@@ -142,16 +142,19 @@ def test_evaluation_is_said_and_kept(tmp_path: Path) -> None:
     logger.start(0)
     metrics = {
         "rgb": {"psnr": 23.456, "ssim": 0.81, "lpips": None},
-        "thermal": {"psnr": 25.0, "ssim": 0.9, "lpips": 0.2, "mae_celsius": 0.31},
-        "nir": {"psnr": 31.0, "ssim": 0.95, "lpips": None, "mae_reflectance": 0.00854},
+        "thermal": {"psnr": 25.0, "ssim": 0.9, "lpips": 0.2, "mae_celsius": 0.31, "bias_celsius": -0.2},
+        "nir": {"psnr": 31.0, "ssim": 0.95, "lpips": None, "mae_reflectance": 0.00854, "miou": 0.5},
         "spectra": ["rgb", "thermal", "nir"],
         "num_gaussians": 7,
     }
     logger.evaluation(4, metrics)
     logger.step(_record(5))
     printed = output.getvalue()
-    assert "rgb PSNR 23.46 dB SSIM 0.810; thermal PSNR 25.00 dB SSIM 0.900 LPIPS 0.200 MAE 0.31 °C; nir" in printed
-    assert "nir PSNR 31.00 dB SSIM 0.950 MAE 0.0085 reflectance" in " ".join(printed.split())
+    assert (
+        "rgb PSNR 23.46 dB SSIM 0.810; thermal PSNR 25.00 dB SSIM 0.900 LPIPS 0.200 MAE 0.31 °C bias -0.20 °C; nir"
+        in " ".join(printed.split())
+    )
+    assert "nir PSNR 31.00 dB SSIM 0.950 MAE 0.0085 reflectance miou 0.50" in " ".join(printed.split())
     assert "(held-out 23.46)" in printed
     assert _entries(tmp_path)[0] == {"step": 4, "evaluation": metrics}
 

@@ -156,10 +156,11 @@ def run_pair(arguments: PairArguments) -> int:
 def run_check(arguments: CheckArguments) -> int:
     """``thermosplat-prepare check``; returns the exit code."""
     with importing(WITHOUT_TORCH):
-        from thermosplat.prepare.checking.check import check
+        from thermosplat.prepare.checking.check import check, is_posed
 
     capture = capture_at(arguments.capture)
     say("check", check(capture))
-    print(f"Look at {shlex.quote(str(capture.check / 'index.html'))}")
-    say_next("train" if capture.sparse.is_dir() else "prepare sfm", capture)
+    if (capture.check / "index.html").is_file():  # nothing is written into a capture of another program
+        print(f"Look at {shlex.quote(str(capture.check / 'index.html'))}")
+    say_next("train" if is_posed(capture.root) else "prepare sfm", capture)
     return 0

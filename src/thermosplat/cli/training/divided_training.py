@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from thermosplat.config import TrainConfig
     from thermosplat.datasets.capture import Capture
     from thermosplat.runs.run_directory import RunDirectory
-    from thermosplat.training.sharing.divided_trainer import DividedTrainer
+    from thermosplat.training.trainer import Trainer
 
 _POLL = 0.5
 """Between looks at whether the parent lives [s]."""
@@ -118,10 +118,10 @@ class RankOfTraining:
         check_same_capture(team, capture)
         trainer = self._trainer(team, config, capture)
         self.run = trainer.run
-        trainer.newest_checkpoint = self._newest_checkpoint
+        trainer.keeping.newest_checkpoint = self._newest_checkpoint
         if self.lifeline is not None and team.is_first:
-            self.finish_writing = trainer.finish_writing
-            self.lifeline.before_end = trainer.finish_writing
+            self.finish_writing = trainer.keeping.finish_writing
+            self.lifeline.before_end = trainer.keeping.finish_writing
             self.lifeline.answer = lambda: str(self._newest_checkpoint() or "")
         try:
             with stopped_by_signals(), watched_by_first(trainer, viewer_flags(self.argv)):
@@ -137,16 +137,16 @@ class RankOfTraining:
             say_what_and_where(trainer, metrics)
         return 0
 
-    def _trainer(self, team: Team, config: "TrainConfig", capture: "Capture") -> "DividedTrainer":
+    def _trainer(self, team: Team, config: "TrainConfig", capture: "Capture") -> "Trainer":
         from thermosplat.runs.run_directory import RunDirectory
-        from thermosplat.training.sharing.divided_trainer import DividedTrainer
+        from thermosplat.training.trainer import Trainer
 
         devices = team.size if PARENT in os.environ else 1  # of torchrun nobody knows how it was started
         if config.resume is not None:
             run = RunDirectory(config.resume, devices)
             # a run of one process from before there were batches has steps of one frame
             kept = replace(config, data=data_from_anywhere(config.data), resume=None, batch_size=config.batch_size or 1)
-            return DividedTrainer.resume_divided(kept, capture, run, team)
+            return Trainer.resume(kept, capture, run, team=team)
         folder = config.result_dir or str(Path("results") / capture.name / Path(config.config).stem)
         kept = replace(
             config,
@@ -155,7 +155,7 @@ class RankOfTraining:
             overwrite=False,
             batch_size=config.batch_size or team.size,
         )
-        trainer = DividedTrainer(kept, capture, RunDirectory(folder, devices), team)
+        trainer = Trainer(kept, capture, RunDirectory(folder, devices), team=team)
 
         def create() -> None:  # last, as it may delete here
             RunDirectory.create(folder, overwrite=config.overwrite)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from thermosplat.cli.viewer_flags import ViewerFlags
 
 if TYPE_CHECKING:
-    from thermosplat.training.sharing.divided_trainer import DividedTrainer
     from thermosplat.training.trainer import Trainer
     from thermosplat.viewer.training_watch import TrainingWatch
 
@@ -32,7 +31,7 @@ def watched(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
 
 
 @contextmanager
-def watched_by_first(trainer: "DividedTrainer", flags: ViewerFlags) -> Iterator[None]:
+def watched_by_first(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     """Around a training on several ranks: let rank 0 serve the viewer meanwhile, if it is asked for there.
 
     Args:
@@ -43,7 +42,7 @@ def watched_by_first(trainer: "DividedTrainer", flags: ViewerFlags) -> Iterator[
         UserError: As of ``watched``, on rank 0.
         EndedElsewhere: On the other ranks where rank 0 cannot serve it.
     """
-    from thermosplat.training.sharing.watched_ranks import Follower, Leader
+    from thermosplat.training.watched_ranks import Follower, Leader
 
     with ExitStack() as serving:
 

@@ -109,6 +109,8 @@ def _opencv_is_right(tags: TiffTags) -> bool:
         grey = tags.samples == 1 and tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO)
         return in_one_place and (colored or grey)
     if tags.bits == 8 and tags.sample_format == UNSIGNED:
+        if tags.tile_width > 0 and tags.compression == 1 and tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO, RGB):
+            return False  # OpenCV 5.0 reads no plain tiles
         if tags.samples == 1:
             return tags.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO, PALETTE)
         if tags.samples == 4:

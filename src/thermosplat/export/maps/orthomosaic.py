@@ -13,14 +13,13 @@ from thermosplat.errors import UserError
 from thermosplat.export.maps.geotiff import write_geotiff
 from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.rendered_frame import LEAST_COVER
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 MOST_PIXELS = 1 << 28
 """Of a map: 1 GiB per band."""
-LEAST_COVER = 0.9
-"""Pixels that Gaussians cover less are NaN: their values would be mixed with the black behind."""
 _TILE = 2048
 """Side of what is rendered at once [px]."""
 

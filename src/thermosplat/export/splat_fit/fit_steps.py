@@ -1,7 +1,7 @@
 """Steps of the fit: render the splats and the model, compare, and improve the splats.
 
 A step launches some hundreds of small kernels, which takes Python longer than running them takes a GPU. So on CUDA a
-step is captured once for each size of images and replayed from then on (``training.captured_steps`` does the same).
+step is captured once for each size of images and replayed from then on (``training.recorded_steps`` does the same).
 Cameras are copied into tensors that stay; splats and rates are changed in place.
 """
 

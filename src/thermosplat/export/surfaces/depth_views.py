@@ -12,11 +12,10 @@ from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.datasets.placement import Placement
 from thermosplat.export.scene import shown_colors
 from thermosplat.scene.model import SceneModel
+from thermosplat.scene.rendered_frame import LEAST_COVER
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
-LEAST_COVER = 0.9
-"""Pixels that Gaussians cover less have no depth here."""
 RECALCULATED = "recalculated"
 """In names of values: 1 where temperatures were recalculated."""
 LARGEST_STEP = 0.05

@@ -11,23 +11,26 @@ import pycolmap
 import yaml
 from numpy.typing import NDArray
 
+from thermosplat.datasets import load_capture
 from thermosplat.datasets.colmap.model import find_model, read_model
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.images.spectrum_files import as_rgb
 from thermosplat.datasets.parallax import Seen, parallax_remark, triangulation_angle
+from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, PairRow
 from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
 from thermosplat.prepare.checking.findings import Finding, msx_findings, texture_findings, thermal_findings
 from thermosplat.prepare.checking.plane_warp import PlaneWarp, read_warps
 from thermosplat.prepare.checking.point_levels import PointLevels, point_levels
+from thermosplat.prepare.checking.quick_check import wrong_notes
 from thermosplat.prepare.checking.sensor_orientation import find_orientation, orientation_as_registered
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.progress import tracked
-from thermosplat.prepare.steps import StepReport, require_step, run_step
+from thermosplat.prepare.steps import StepReport, read_marker, require_step, run_step
 from thermosplat.prepare.whole_files import write_png
 from thermosplat.runs.atomic_writes import write_bytes
-from thermosplat.spectra import COUNTS, label
+from thermosplat.spectra import COUNTS, DEFAULT_SPECTRA, label
 from thermosplat.thermal.temperature_units import read_statement, to_measured
 
 SHEET, PAGE = "contact_sheet.png", "index.html"
@@ -46,7 +49,8 @@ def check(capture: CaptureFolder) -> StepReport:
     """Look at a capture, and write ``check/``.
 
     Args:
-        capture: A capture of which at least the import is complete.
+        capture: A capture of which at least the import is complete, or one of another program that can be trained on,
+            into whose folder nothing is written.
 
     Returns:
         What was found; the last sentence is the estimate.
@@ -54,6 +58,9 @@ def check(capture: CaptureFolder) -> StepReport:
     Raises:
         UserError: Nothing was imported, or a file cannot be read.
     """
+    if read_marker(capture, "import") is None and is_posed(capture.root):
+        findings = read_findings(capture.root)
+        return StepReport((*map(_line, findings), estimate_of(findings)))
     require_step(capture, "import")
     return run_step(
         capture,
@@ -79,13 +86,41 @@ def _check(capture: CaptureFolder) -> list[str]:
     findings += texture_findings(read)
     if pairs:
         findings += _pair_findings(capture, pairs)
+    if is_posed(capture.root):
+        try:
+            findings += read_findings(capture.root)
+        except UserError as error:
+            findings.append(Finding("warning", f"Training could not read this capture: {error.message}"))
     recommend(capture, findings)
     estimate = estimate_of(findings)
     pictures = _pictures(capture, pairs)
     if pictures:
         write_png(capture.check / SHEET, sheet([picture for _, picture in pictures]))
     write_bytes(capture.check / PAGE, check_page(capture.root.name, findings, estimate, pictures).encode())
-    return [*(f"{'! ' if one.level == 'warning' else ''}{one.sentence}" for one in findings), estimate]
+    return [*map(_line, findings), estimate]
+
+
+def _line(one: Finding) -> str:
+    return f"{'! ' if one.level == 'warning' else ''}{one.sentence}"
+
+
+def is_posed(root: Path) -> bool:
+    """Whether a folder has camera poses, whoever made them."""
+    return find_model(root) is not None or any(root.glob("transforms*.json"))
+
+
+def read_findings(root: Path) -> list[Finding]:
+    """What training would say of a capture before its first step, and what is probably wrong with it.
+
+    Args:
+        root: A folder with images and poses.
+
+    Raises:
+        UserError: It cannot be trained on.
+    """
+    capture = load_capture(root)
+    notes = [Finding("fact", note) for note in capture.notes]
+    return [*notes, *(Finding("warning", note) for note in wrong_notes(capture, DEFAULT_SPECTRA))]
 
 
 def recommend(capture: CaptureFolder, findings: Sequence[Finding]) -> None:

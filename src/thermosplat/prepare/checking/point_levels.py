@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2  # before pycolmap, see datasets/lens.py
+import cv2  # noqa: F401  before pycolmap, see datasets/lens.py
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
 from thermosplat.prepare.capture_folder import LEADING, OTHER
+from thermosplat.prepare.registration.stereo_edges import sampled
 
 MOST_POINTS = 20_000
 """Those that most photographs see. Open choice: their levels are exact to a hundredth of a degree."""
@@ -100,8 +101,7 @@ def _seen(
         pixels[ahead] = np.nan_to_num(np.asarray(model.cameras[image.camera_id].img_from_cam(local[ahead])), nan=-1.0)
         height, width = images[name].shape[:2]
         inside = ((pixels > 1) & (pixels < [width - 1, height - 1])).all(axis=1)
-        at = (pixels[inside] - 0.5).astype(np.float32)  # OpenCV has pixel centres at whole numbers
-        values = cv2.remap(images[name].astype(np.float32), at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR)[0]
+        values = sampled(images[name].astype(np.float32), pixels[inside] - 0.5)
         found.append((name, ids[inside], values.astype(np.float64)))
     return found
 

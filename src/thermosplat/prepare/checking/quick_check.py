@@ -1,22 +1,102 @@
-"""The part of a check that training does at its start: what takes an instant, on images in memory, or some others."""
+"""The part of a check that training does at its start: what takes an instant, on images in memory, or some others.
+
+What would train without a word and come out wrong is told here: poses of other images, spectra that do not lie on each
+other, images that are there twice, temperatures in another unit.
+"""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.capture import Capture, View
+from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.datasets.random_points import STARTING_RANDOM
 from thermosplat.prepare.checking.findings import DRIFT_SHARE, level_drift
+from thermosplat.prepare.checking.plausible_temperatures import temperature_notes
+from thermosplat.prepare.checking.posed_photographs import exposure_drift, pose_notes, unseen_share
+from thermosplat.prepare.checking.repeated_images import repeated_notes, shows_something
+from thermosplat.prepare.checking.spectra_together import together_notes
 from thermosplat.spectra import SpectrumConfig, label
 
 _LEAST_IMAGES = 5
 _READ_FROM_DISK = 16
 """Images that are looked at where they stay on the disk."""
+_MOST_UNSEEN = 0.5
+"""Share of the sparse points that may lie in no image. Open choice: good captures have none to 0.02."""
+_EXPOSURE = 0.17
+"""Standard deviation of the photographs' brightness, as a share, that is told. Open choice: photographs with automatic
+exposure have up to 0.12."""
 
 
 def quick_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """A note on a sensor that drifts without the training allowing for it.
+    """Notes on what is probably wrong, and on a sensor that drifts without the training allowing for it.
+
+    Args:
+        capture: The capture, read.
+        spectra: The settings that it will be trained with.
+    """
+    return [*wrong_notes(capture, spectra), *drift_notes(capture, spectra)]
+
+
+def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
+    """A sentence on each thing that is probably wrong with a capture that can be read.
+
+    Args:
+        capture: The capture, read.
+        spectra: The settings that it will be trained with.
+    """
+    frames = sorted((*capture.train, *capture.test), key=lambda frame: frame.name)
+    if capture.on_disk is not None:
+        frames = [_in_memory(frame) for frame in frames[:: -(-len(frames) // _READ_FROM_DISK)]]
+    notes: list[str] = []
+    points = capture.points[:0] if any(STARTING_RANDOM in note for note in capture.notes) else capture.points
+    lead = next((name for name, scale in capture.scales.items() if scale.kind == "photograph"), None)
+    if lead is not None and len(points):
+        views = [view for view in _views(frames, lead) if shows_something(view)]
+        notes += pose_notes(views, points, capture.point_colors)
+        if views and not notes and (unseen := unseen_share(views, points)) > _MOST_UNSEEN:
+            notes.append(
+                f"{unseen:.0%} of the sparse points lie in no photograph: are points and poses of one capture? Make "
+                "both anew (colmap mapper, thermosplat-prepare sfm)."
+            )
+        if not notes and spectra[lead].exposure == "fixed":
+            drift = exposure_drift(views, points, capture.point_colors)
+            if drift > _EXPOSURE:
+                notes.append(
+                    f"The exposure of {label(lead)} images varies by {drift:.0%} (standard deviation of what they show "
+                    f"of the same points): --{lead}.exposure affine learns it."
+                )
+    posed = bool(len(points)) and not notes
+    held_out = {frame.name for frame in capture.test}
+    train, test = ([frame for frame in frames if (frame.name in held_out) is held] for held in (False, True))
+    for name, scale in capture.scales.items():
+        notes += repeated_notes(name, _views(train, name), _views(test, name))
+        notes += temperature_notes(name, _sampled(_views(frames, name)), scale)
+        if lead is not None and name != lead:
+            both = [(frame.views[lead], frame.views[name]) for frame in frames if {lead, name} <= set(frame.views)]
+            pairs = [pair for pair in both if all(map(shows_something, pair))]
+            notes += together_notes(name, pairs, points, posed=posed)
+    return notes
+
+
+def _in_memory(frame: Frame) -> Frame:
+    """The frame with the pixels that stay on the disk, which are looked at more than once."""
+
+    def read(view: View) -> View:
+        pixels = view.pixels()
+        return replace(view, image=pixels.image, values=pixels.values, mask=pixels.mask, stored=None)
+
+    return Frame(frame.name, {name: read(view) for name, view in frame.views.items()})
+
+
+def _views(frames: Sequence[Frame], spectrum: str) -> list[View]:
+    return [frame.views[spectrum] for frame in frames if spectrum in frame.views]
+
+
+def drift_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
+    """Notes on sensors that drift without the training allowing for it.
 
     Args:
         capture: The capture, read.

@@ -30,7 +30,8 @@ _CONTROLS = (3, 5, 7)
 _LEAST_PAIRS = 8
 _LEAST_SCORE, _LEAST_RATIO = 0.05, 2.0
 """From which score on, and how far above the next orientation, the best one is believed; see above."""
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+"""Of an RGB colour, ITU-R BT.601."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def find_orientation(pairs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Orie
         return None
     height, width = pairs[0][0].shape[:2]
     size = round(_HEIGHT * width / height), _HEIGHT
-    photographs = [_edges(photograph, *size) for photograph, _ in pairs]
+    photographs = [edge_strength(photograph, *size) for photograph, _ in pairs]
     scores = {
         Orientation(90 * quarter, mirror): max(
             _score(photographs, [_window(_oriented(thermal, quarter, mirror), size, part) for _, thermal in pairs])
@@ -86,7 +87,7 @@ def orientation_as_registered(
         return None
     height, width = pairs[0][0].shape[:2]
     size = _REGISTERED_WIDTH, round(_REGISTERED_WIDTH * height / width)
-    photographs = [_edges(photograph, *size) for photograph, _ in pairs]
+    photographs = [edge_strength(photograph, *size) for photograph, _ in pairs]
     lens = warps[0].thermal
     scores = {}
     for quarter in range(4):
@@ -108,7 +109,7 @@ def _outstanding(scores: dict[Orientation, float]) -> Orientation | None:
 
 def _seen(image: NDArray[Any], warp: PlaneWarp, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Edges of a thermal image as the photograph's camera sees them; 0 where the thermal camera does not look."""
-    edges = _edges(image, _REGISTERED_WIDTH, round(_REGISTERED_WIDTH * image.shape[0] / image.shape[1]))
+    edges = edge_strength(image, _REGISTERED_WIDTH, round(_REGISTERED_WIDTH * image.shape[0] / image.shape[1]))
     levels = np.clip(1 + 80 * (edges - edges.min()), 1, 255).astype(np.uint8)
     return warp.thermal_on_photograph(np.repeat(levels[..., None], 3, -1), *size)[..., 0]
 
@@ -155,16 +156,16 @@ def _window(image: NDArray[Any], size: tuple[int, int], part: float) -> NDArray[
     """Edges of a thermal image that fills a part of the photograph, without the rim, so that it can be shifted."""
     aspect = image.shape[1] / image.shape[0]
     height = min(size[1] * part, size[0] * part / aspect)
-    edges = _edges(image, max(16, round(height * aspect)), max(16, round(height)))
+    edges = edge_strength(image, max(16, round(height * aspect)), max(16, round(height)))
     rim = int(0.06 * edges.shape[0]) + 2
     return np.ascontiguousarray(edges[rim:-rim, rim:-rim])
 
 
-def _edges(image: NDArray[Any], width: int, height: int) -> NDArray[np.float32]:
+def edge_strength(image: NDArray[Any], width: int, height: int) -> NDArray[np.float32]:
     """Strength of the edges [height, width], equalised over the image."""
     grey = image.astype(np.float32)
     if grey.ndim == 3:
-        grey = grey @ _LUMA
+        grey = grey @ LUMA
     grey = cv2.GaussianBlur(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), (0, 0), 1)
     strength = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     local = cv2.GaussianBlur(strength, (0, 0), 8) + 0.05 * strength.mean() + 1e-6

@@ -41,12 +41,13 @@ def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "auto") -> StepReport:
     Raises:
         UserError: There are too few photographs, or they make no model; with what was found.
     """
+    positions = [capture.pairs_csv] if _thermal_of(capture) else []  # a thermal image may know where its pair was
     return run_step(
         capture,
         "sfm",
         lambda: _sfm(capture, mapper),
         settings={"mapper": mapper},
-        inputs=[capture.images(LEADING), capture.frames_csv, capture.pairs_csv, capture.calibration_json],
+        inputs=[capture.images(LEADING), capture.frames_csv, *positions, capture.calibration_json],
         outputs=[capture.sparse / "images.bin"],
     )
 

@@ -47,12 +47,7 @@ class DecomposingStrategy(DefaultStrategy):
 
     @torch.no_grad()
     def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
-        """Add this step's gradients. Nothing here waits for the device.
-
-        Args:
-            infos: One for each spectrum, whose name it holds under "spectra".
-            blocked: Scalar, 1 where this step's gradients must not be noted.
-        """
+        """Add this step's gradients. Nothing here waits for the device."""
         finite = blocked == 0
         total = torch.zeros_like(self.gradient_sums[0])
         visible = torch.zeros_like(self.observations)

@@ -112,31 +112,14 @@ class DefaultStrategy:
         return step - 1 - (0 if self.span is None else self.span.start)
 
     def step_pre_backward(self, infos: list[dict[str, Any]]) -> None:
-        """Keep the gradients that :meth:`observe` looks at.
-
-        Args:
-            infos: What the rasterization said about each call that rendered this set.
-        """
+        """Keep the gradients that :meth:`observe` looks at."""
         for info in infos:
             info["means2d"].retain_grad()
 
     def refine(
         self, gaussians: Gaussians, optimizers: Optimizers, step: int, generator: torch.Generator
     ) -> Refinement | None:
-        """Add and remove Gaussians, or reset opacities, where this step is the one to do so.
-
-        Args:
-            gaussians: The set.
-            optimizers: Its optimizers.
-            step: The step.
-            generator: Draws where the halves of split Gaussians go.
-
-        Returns:
-            What changed; None where this step does not refine.
-
-        Raises:
-            UserError: If no Gaussian is left.
-        """
+        """Add and remove Gaussians, or reset opacities, where this step is the one to do so."""
         refinement = None
         if self.refines_at(step):
             try:
@@ -150,23 +133,11 @@ class DefaultStrategy:
         return refinement
 
     def move(self, gaussians: Gaussians, optimizers: Optimizers, blocked: Tensor, generator: torch.Generator) -> None:
-        """Change Gaussians after an update: this strategy does not.
-
-        Args:
-            gaussians: The set.
-            optimizers: Its optimizers.
-            blocked: Scalar, 1 where this step must change nothing.
-            generator: For what is random, on the Gaussians' device.
-        """
+        """Change Gaussians after an update: this strategy does not."""
 
     @torch.no_grad()
     def observe(self, infos: list[dict[str, Any]], blocked: Tensor) -> None:
-        """Add this step's gradients. Nothing here waits for the device.
-
-        Args:
-            infos: As given to :meth:`step_pre_backward`.
-            blocked: Scalar, 1 where this step's gradients must not be noted.
-        """
+        """Add this step's gradients. Nothing here waits for the device."""
         if blocked.is_cuda and len(infos) == 1:  # the usual frame, without a dozen kernels
             gradient = self._gradient(infos[0])
             if gradient is not None:

@@ -69,20 +69,7 @@ class McmcStrategy(DefaultStrategy):
     def refine(
         self, gaussians: Gaussians, optimizers: Optimizers, step: int, generator: torch.Generator
     ) -> Refinement | None:
-        """Move dead Gaussians and add new ones, where this step is the one to do so.
-
-        Args:
-            gaussians: The set.
-            optimizers: Its optimizers.
-            step: The step.
-            generator: Draws which Gaussians are doubled.
-
-        Returns:
-            What changed; None where this step does not refine.
-
-        Raises:
-            UserError: If all Gaussians are dead.
-        """
+        """Move dead Gaussians and add new ones, where this step is the one to do so."""
         if not self.refines_at(step):
             return None
         config = self.config
@@ -117,14 +104,7 @@ class McmcStrategy(DefaultStrategy):
 
     @torch.no_grad()
     def move(self, gaussians: Gaussians, optimizers: Optimizers, blocked: Tensor, generator: torch.Generator) -> None:
-        """Add the noise of a step to the means. Nothing here waits for the device.
-
-        Args:
-            gaussians: The set, after its update.
-            optimizers: Its optimizers.
-            blocked: Scalar, 1 where this step must change nothing.
-            generator: Draws the noise, on the Gaussians' device.
-        """
+        """Add the noise of a step to the means. Nothing here waits for the device."""
         means, rate = gaussians.means, optimizers["means"].param_groups[0]["lr"]
         first, total = self.block or (0, len(means))  # every rank draws for all, as one process would
         normals = torch.randn(total, 3, generator=generator, device=means.device, dtype=means.dtype)

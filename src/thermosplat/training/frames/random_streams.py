@@ -35,26 +35,3 @@ def start_stream(generator: torch.Generator, seed: int, purpose: str, index: int
     """
     entropy = np.random.SeedSequence([seed, _PURPOSES.index(purpose), index])
     return generator.manual_seed(int(entropy.generate_state(1, np.uint64)[0] >> np.uint64(1)))
-
-
-class FrameOrder:
-    """Which training frame each step takes: all of them in random order, then all again in another. 3DGS.
-
-    Args:
-        num_frames: Training frames, at least 1.
-        seed: The run's seed.
-    """
-
-    def __init__(self, num_frames: int, seed: int) -> None:
-        self.num_frames = num_frames
-        self.seed = seed
-        self._epoch = -1
-        self._order: list[int] = []
-
-    def __getitem__(self, step: int) -> int:
-        """Index of the frame of a step, 0 being the first step."""
-        epoch, place = divmod(step, self.num_frames)
-        if epoch != self._epoch:
-            stream = random_stream(self.seed, "frame order", epoch)
-            self._epoch, self._order = epoch, torch.randperm(self.num_frames, generator=stream).tolist()
-        return self._order[place]

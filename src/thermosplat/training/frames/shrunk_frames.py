@@ -31,7 +31,7 @@ class ShrunkFrames:
 
     def __init__(self, frames: TrainFrames) -> None:
         self._frames = frames
-        self._factor = 1.0
+        self.factor = 1.0
         self._kept: dict[int, FrameTensors] = {}
 
     def at(self, place: int, order: Callable[[int], int], end: int, factor: float) -> FrameTensors:
@@ -43,9 +43,9 @@ class ShrunkFrames:
             end: One beyond the last place.
             factor: What the sides of images are divided by. What was kept of another factor goes.
         """
-        if factor != self._factor:
+        if factor != self.factor:
             self._forget()
-            self._factor = factor
+            self.factor = factor
         if factor == 1.0:
             return self._frames.at(place, order, end)
         index = order(place)

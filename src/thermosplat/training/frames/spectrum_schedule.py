@@ -1,4 +1,4 @@
-"""Which spectra a step trains, and which steps train a set of Gaussians.
+"""Which frame and which spectra a step trains, and which steps train a set of Gaussians.
 
 Notation: steps count from 1; a span (start, end) holds the steps start + 1 to end.
 """
@@ -6,11 +6,13 @@ Notation: steps count from 1; a span (start, end) holds the steps start + 1 to e
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
+import torch
+
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.errors import UserError
-from thermosplat.training.frames.random_streams import FrameOrder
+from thermosplat.training.frames.random_streams import random_stream
 from thermosplat.training.frames.shrunk_frames import ShrunkFrames
 from thermosplat.training.frames.train_frames import TrainFrames
 
@@ -48,6 +50,29 @@ def set_span(name: str, config: TrainConfig) -> Span:
         config: The whole configuration.
     """
     return spectrum_spans(config).get(name, Span(0, config.max_steps))
+
+
+class FrameOrder:
+    """Which training frame each step takes: all of them in random order, then all again in another. 3DGS.
+
+    Args:
+        num_frames: Training frames, at least 1.
+        seed: The run's seed.
+    """
+
+    def __init__(self, num_frames: int, seed: int) -> None:
+        self.num_frames = num_frames
+        self.seed = seed
+        self._epoch = -1
+        self._order: list[int] = []
+
+    def __getitem__(self, step: int) -> int:
+        """Index of the frame of a step, 0 being the first step."""
+        epoch, place = divmod(step, self.num_frames)
+        if epoch != self._epoch:
+            stream = random_stream(self.seed, "frame order", epoch)
+            self._epoch, self._order = epoch, torch.randperm(self.num_frames, generator=stream).tolist()
+        return self._order[place]
 
 
 class SpectrumSchedule:
@@ -125,7 +150,11 @@ class SpectrumSchedule:
         count = len(self.places)
         if not count:
             return FrameTensors("", {}, ())
-        frame = self._sized.at(steps_done * count + number, self._at_place, self._steps * count, factor)
+        place, end = steps_done * count + number, self._steps * count
+        if factor == self._sized.factor == 1.0:
+            frame = self._frames.at(place, self._at_place, end)
+        else:
+            frame = self._sized.at(place, self._at_place, end, factor)
         return frame.only(self.shown(steps_done))
 
     def _at_place(self, place: int) -> int:

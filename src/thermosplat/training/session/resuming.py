@@ -6,12 +6,14 @@ from typing import Any
 from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.placement import Placement
+from thermosplat.distributed.team import Team
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import other_frames
 from thermosplat.runs.checkpoint import Checkpoint, damage_explained
 from thermosplat.runs.checkpoint_file import load_checkpoint
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.spectra import STRUCTURE, label, latent_channels
+from thermosplat.training.sharing.shares import shares_of
 
 _START_ONLY = ("init_opacity",)
 """Fields of ModelConfig that matter before the first step only."""
@@ -40,6 +42,33 @@ def newest_checkpoint(run: RunDirectory) -> Checkpoint:
             "Start another run with another --result-dir.",
         )
     return checkpoint
+
+
+def share_to_go_on_from(config: TrainConfig, capture: Capture, run: RunDirectory, team: Team) -> Checkpoint:
+    """This rank's share of a run's newest checkpoint, which may be of another number of ranks; rank 0 reads it.
+
+    Args:
+        config: What the command asks for.
+        capture: What it would be trained on.
+        run: The run.
+        team: The ranks; one alone has all.
+
+    Raises:
+        UserError: On rank 0, as of ``newest_checkpoint`` and ``check_resumable``.
+        EndedElsewhere: On the others.
+    """
+
+    def read() -> Checkpoint:
+        checkpoint = newest_checkpoint(run)
+        check_resumable(checkpoint, config, run, capture)
+        return checkpoint
+
+    if team.is_alone:
+        return read()
+    shares: list[Checkpoint] = []
+    team.asked_of_first(lambda: shares.extend(shares_of(read(), team.size)))
+    share: Checkpoint = team.dealt(shares if team.is_first else None)
+    return share
 
 
 def check_resumable(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory, capture: Capture) -> None:

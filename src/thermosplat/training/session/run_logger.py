@@ -5,6 +5,7 @@ and keeps the values of the last line; on the CPU, where reading costs nothing, 
 leaves a GPU without work, so the line itself, a few milliseconds, is written some steps later.
 """
 
+import io
 import json
 import math
 import resource
@@ -21,17 +22,19 @@ from rich.live import Live
 from rich.text import Text
 from torch import Tensor
 
+from thermosplat.config import TrainConfig
 from thermosplat.printing import SafeConsole, printable
 from thermosplat.runs.atomic_writes import open_to_append, write_text
 from thermosplat.runs.run_directory import RunDirectory, finite_or_null
 from thermosplat.runs.written_files import TENSORBOARD_SUFFIX
-from thermosplat.spectra import MAE, unit_label
+from thermosplat.spectra import measured_error
 
 _REFRESH_SECONDS = 0.25  # of the live line
 _COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
 LATE_BY = 4
 """Steps that a GPU is given before the line of a step is written."""
 
+_NEVER = 2**62  # steps
 _METRICS = {"psnr": "PSNR {:.2f} dB", "ssim": "SSIM {:.3f}", "lpips": "LPIPS {:.3f}"}
 
 
@@ -96,6 +99,22 @@ class RunLogger:
         self._refreshed = 0.0
         self._late: StepRecord | None = None
         self._lines_lost = False
+
+    @classmethod
+    def of(cls, run: RunDirectory, config: TrainConfig, device: torch.device, *, speaks: bool) -> "RunLogger":
+        """The logger of a training.
+
+        Args:
+            run: Where the files go.
+            config: What is done.
+            device: Its device.
+            speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
+        """
+        if speaks:
+            every, tensorboard = config.log_every, config.tensorboard
+            return cls(run, max_steps=config.max_steps, log_every=every, device=device, tensorboard=tensorboard)
+        silent = SafeConsole(quiet=True, file=io.StringIO())
+        return cls(run, max_steps=_NEVER, log_every=_NEVER, device=device, tensorboard=False, console=silent)
 
     def start(self, step: int, *, evaluates: bool = False) -> None:
         """Open the files; drop lines of metrics.jsonl from after the step that a resumed run starts from.
@@ -308,11 +327,14 @@ def _clock(seconds: float) -> str:
 
 
 def _number(name: str, value: float) -> str:
-    """A metric for people: "PSNR 24.31 dB", "MAE 0.42 °C", "MAE 0.0085 reflectance"."""
+    """A metric for people: "PSNR 24.31 dB", "MAE 0.42 °C", "bias -0.0085 reflectance"."""
     if name in _METRICS:
         return _METRICS[name].format(value)
-    digits = f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
-    return f"MAE {digits} {unit_label(name.removeprefix(MAE))}"
+    digits = ".2f" if abs(value) >= 0.1 else ".2g"
+    error = measured_error(name)
+    if error is None:
+        return f"{name.replace('_', ' ')} {value:{digits}}"
+    return f"{error.heading} {value:{error.sign}{digits}} {error.unit}"
 
 
 def _is_before(line: str, step: int, evaluates: bool) -> bool:

@@ -1,5 +1,6 @@
 """What a training makes of its model: evaluations of held-out views, and the files of a finished run."""
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -7,7 +8,6 @@ from typing import Any
 
 import torch
 
-from thermosplat.config import TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation.held_out_poses import Judged, evaluate_refined
 from thermosplat.evaluation.labelled_regions import write_regions
@@ -17,37 +17,81 @@ from thermosplat.export.scene import scene_splats, write_scene
 from thermosplat.image_quality.lpips import Lpips, find_lpips
 from thermosplat.refinement.camera_report import write_cameras
 from thermosplat.refinement.corrected_capture import corrected_capture
-from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.training.session.run_logger import RunLogger
+from thermosplat.scene.model import SceneModel
+from thermosplat.training.session.checkpoint_writer import going_on_without, naming_the_newest_checkpoint
+from thermosplat.training.session.interruption import meanwhile
 from thermosplat.training.session.run_metrics import run_metrics
-from thermosplat.training.training_state import TrainingState
-from thermosplat.training.training_step import sh_degree_at
+from thermosplat.training.session.safekeeping import Safekeeping, given
+from thermosplat.training.session.training_parts import Training
+from thermosplat.training.sharing.meetings import Meetings
+from thermosplat.training.step_kind import sh_degree_at
 
 
 class RunResults:
     """Evaluates the model of a training, and writes what a finished run leaves behind.
 
+    On several ranks rank 0 does it, with the whole model, while the others wait.
+
     Args:
-        config: The whole configuration.
-        capture: The capture as it was read.
-        run: Where files go.
-        state: The training's state; whatever its model is at the time of a call is evaluated.
-        logger: What tells the user.
-        device: Where views are rendered.
+        training: Whatever its model is at the time of a call is evaluated.
+        keeping: Gathers the whole model.
+        meetings: Of the ranks.
     """
 
-    def __init__(
-        self,
-        config: TrainConfig,
-        capture: Capture,
-        run: RunDirectory,
-        state: TrainingState,
-        logger: RunLogger,
-        device: torch.device,
-    ) -> None:
-        self._config, self._capture, self._run = config, capture, run
-        self._state, self._logger, self._device = state, logger, device
+    def __init__(self, training: Training, keeping: Safekeeping, meetings: Meetings) -> None:
+        self._training, self._keeping, self._meetings = training, keeping, meetings
+        self._config, self._capture, self._run = training.config, training.capture, training.run
+        self._state, self._device = training.state, training.team.device
         self._lpips: Lpips | None = None
+
+    def with_whole(self, work: Callable[[], Any]) -> Any:
+        """Let rank 0 do something with the whole model, which it holds meanwhile; what it gives, None on the others.
+
+        Args:
+            work: What to do.
+        """
+        if self._training.team.is_alone:
+            return work()
+        whole = self._keeping.gathered(training=False)
+
+        def done() -> Any:
+            with self._state.showing(SceneModel.from_checkpoint(given(whole), self._device)):
+                return work()
+
+        found = self._meetings.by_first(done)
+        if self._device.type == "cuda":
+            torch.cuda.empty_cache()
+        return found
+
+    def evaluate_on_the_way(self) -> None:
+        """Judge the model between two steps; training goes on where a file cannot be written."""
+
+        def judge() -> None:
+            with going_on_without(self._training.logger.say):
+                self.evaluate()
+
+        self.with_whole(judge)
+
+    def leave_behind(self, started: float) -> dict[str, Any]:
+        """Judge the model of a finished run, and write everything that the run leaves.
+
+        Args:
+            started: When it began, if it had one sitting (``time.perf_counter``) [s].
+
+        Returns:
+            The content of metrics.json; nothing on ranks that are not the first.
+        """
+
+        def write() -> dict[str, Any]:
+            with naming_the_newest_checkpoint(self._run):
+                with meanwhile(self.exporting()):
+                    judged = self.evaluate(at_the_end=True)
+                self._state.seconds.wall = time.perf_counter() - started
+                metrics = self.write(judged)
+            self._run.sweep()
+            return metrics
+
+        return self.with_whole(write) or {}
 
     def find_lpips(self) -> str:
         """Load what measures LPIPS, where its weights are at hand; a line that says so or says why not.
@@ -87,7 +131,7 @@ class RunResults:
             judged = replace(judged, metrics={**judged.metrics, "training_views": known})
             lines = remarks(judged.metrics, self._config.budget == "fixed")
             judged = replace(judged, metrics={**judged.metrics, "remarks": lines})
-        self._logger.evaluation(step, judged.metrics)
+        self._training.logger.evaluation(step, judged.metrics)
         self._run.write_json(self._run.stats / f"step_{step:06d}.json", judged.metrics)
         return judged
 

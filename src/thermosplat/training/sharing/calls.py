@@ -7,16 +7,17 @@ camera that sees nothing.
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.distributed.team import Team
 from thermosplat.scene.rendered_frame import RenderedFrame
+from thermosplat.training.step_kind import Group
 
-Group = tuple[str, ...]
-"""Spectra that one camera renders, in the model's order."""
 BLANK_SIZE = 16
 """Width and height of the image of a camera that sees nothing [px]: one tile."""
 AWAY = -1e6
@@ -36,16 +37,17 @@ class Calls(NamedTuple):
     """Any float tensor on the ranks' device."""
 
 
-def calls_of(frames: Sequence[Sequence[Group]], rank: int, like: Tensor) -> Calls:
+def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Calls:
     """The calls for the frames that the ranks have now.
 
     Args:
-        frames: The groups of each rank's frame.
-        rank: This one.
+        frames: The groups of the frames of the first ranks; the others have none.
+        team: The ranks.
         like: Any float tensor on the device.
     """
     groups = dict.fromkeys(group for frame in frames for group in frame)
-    return Calls(sorted(groups), [set(frame) for frame in frames], rank, like)
+    of_ranks = [set(frame) for frame in frames] + [set() for _ in range(team.size - len(frames))]
+    return Calls(sorted(groups), of_ranks, team.rank, like.detach())
 
 
 def render_with_others(
@@ -87,35 +89,6 @@ def _blank(dtype: torch.dtype, device: torch.device) -> ViewTensors:
     return ViewTensors(viewmat, K, BLANK_SIZE, BLANK_SIZE)
 
 
-class FrameGradients:
-    """``means2d`` of one frame's camera, of a call that rendered several frames, as density control reads it.
-
-    Args:
-        means2d: Of the call, [C, N, 2].
-        camera: Which camera.
-        frames: Frames of the step, whose mean the loss is: gradients are multiplied by it.
-    """
-
-    def __init__(self, means2d: Tensor, camera: int, frames: int) -> None:
-        self._means2d, self._camera, self._frames = means2d, camera, frames
-
-    @property
-    def grad(self) -> Tensor | None:
-        """The frame's own gradient, [1, N, 2]."""
-        return self._of_frame(self._means2d.grad)
-
-    @property
-    def absgrad(self) -> Tensor | None:
-        """Likewise of the sums of absolute gradients."""
-        return self._of_frame(getattr(self._means2d, "absgrad", None))
-
-    def _of_frame(self, gradient: Tensor | None) -> Tensor | None:
-        if gradient is None:
-            return None
-        own = gradient[self._camera : self._camera + 1]
-        return own if self._frames == 1 else own * self._frames
-
-
 def infos_of_frame(
     infos: Mapping[str, Sequence[dict[str, Any]]], camera: int, groups: set[Group] | None, frames: int
 ) -> dict[str, list[Any]]:
@@ -136,9 +109,20 @@ def infos_of_frame(
 
 
 def _info_of_frame(info: dict[str, Any], camera: int, frames: int) -> dict[str, Any]:
+    """What a call says of one camera; the loss is the mean over the frames, so the frame's own gradient is larger."""
+
+    def own(gradient: Tensor | None) -> Tensor | None:  # [1, N, 2] of [C, N, 2]
+        if gradient is None:
+            return None
+        of_frame = gradient[camera : camera + 1]
+        return of_frame if frames == 1 else of_frame * frames
+
+    means2d = info["means2d"]
     width, height = info["sizes"][camera] if "sizes" in info else (info["width"], info["height"])
     return {
-        "means2d": FrameGradients(info["means2d"], camera, frames),
+        "means2d": SimpleNamespace(
+            grad=own(means2d.grad if means2d.retains_grad else None), absgrad=own(getattr(means2d, "absgrad", None))
+        ),
         "visible": info["visible"][camera : camera + 1],
         "width": width,
         "height": height,

@@ -13,12 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from thermosplat.config import DensificationConfig
-from thermosplat.distributed.team import RowFetch, Team, blocks, row_fetch
+from thermosplat.distributed.team import RowFetch, Team, row_fetch
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gaussian_ops import Optimizers, replace_parameters
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
-from thermosplat.training.sharing.shares import step_counts
+from thermosplat.training.sharing.shares import count_anew, step_counts
 from thermosplat.training.training_state import TrainingState
 
 SMALL = 4
@@ -27,10 +27,10 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
 @torch.no_grad()
-def refine_divided(
+def refine(
     team: Team, state: TrainingState, name: str, config: DensificationConfig, step: int, generator: torch.Generator
 ) -> None:
-    """Add and remove Gaussians of a divided set, or reset opacities, as ``Strategy.refine``.
+    """Add and remove Gaussians of a set that may be divided, or reset opacities, as ``Strategy.refine``.
 
     Args:
         team: The ranks.
@@ -44,6 +44,9 @@ def refine_divided(
         UserError: On rank 0, if no Gaussian is left.
     """
     gaussians, optimizers, strategy = state.gaussian_sets[name], state.optimizers[name], state.strategies[name]
+    if team.is_alone:
+        strategy.refine(gaussians, optimizers, step, generator)
+        return
     counts = (state.counts or {})[name]
     stood_in = _StandIn(team, gaussians, optimizers, counts)
     sums = {key: _by_gaussian(value) for key, value in strategy.state_dict().items()}
@@ -60,7 +63,7 @@ def refine_divided(
     strategy.forget(len(gaussians))
     of_block = {key: team.from_first(after.get(key), sums[key], total) for key in sums}
     strategy.load_state_dict({key: _as_kept(value) for key, value in of_block.items()})
-    (state.counts or {})[name] = blocks(total, team.size)
+    count_anew(team, state)
 
 
 def _whole_strategy(

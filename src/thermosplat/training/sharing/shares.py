@@ -28,25 +28,34 @@ _NO_TEACHERS: dict[str, Any] = {"teachers": {}, "best_teachers": {}}
 """Of what ranks hold noisy spectra by: whole scenes would have to be rendered by all ranks together."""
 
 
-def keep_share(model: SceneModel, team: Team) -> dict[str, list[int]]:
+def keep_share(model: SceneModel, team: Team) -> None:
     """Leave a whole model this rank's share of the Gaussians.
 
     Args:
         model: A model that no optimizer knows yet.
         team: The ranks.
-
-    Returns:
-        Gaussians of each rank, by set.
     """
-    counts = {}
-    for name in model.gaussian_sets:
+    for name in model.gaussian_sets if team.size > 1 else ():
         gaussians = model.gaussians(name)
-        counts[name] = blocks(len(gaussians), team.size)
         block = team.block_of(len(gaussians))
         model.gaussian_sets[name] = _gaussians_like(
             gaussians, {key: value.detach()[block] for key, value in gaussians.named_parameters()}
         )
-    return counts
+
+
+def count_anew(team: Team, state: TrainingState) -> None:
+    """Let this rank know how many Gaussians the others have, and density control which of all are its own.
+
+    Args:
+        team: The ranks; one alone has all.
+        state: This one's.
+    """
+    if team.is_alone:
+        return
+    state.counts = {}
+    for name, gaussians in state.gaussian_sets.items():
+        counts = state.counts[name] = [held for (held,) in team.numbers([len(gaussians)])]
+        state.strategies[name].block = (sum(counts[: team.rank]), sum(counts))
 
 
 def divided_sets(sets: Mapping[str, Gaussians], ranks: int) -> list[dict[str, Gaussians]]:
@@ -136,6 +145,8 @@ def whole_checkpoint(team: Team, state: TrainingState, own: Checkpoint, *, train
         own: This rank's checkpoint (``TrainingState.checkpoint``).
         training: With Adam's moments, twice the size of the model.
     """
+    if team.is_alone:
+        return own
     counts = state.counts or {}
     gaussian_sets: dict[str, dict[str, Tensor]] = {}
     for name, gaussians in state.gaussian_sets.items():
@@ -192,19 +203,12 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
         state.strategies[name].load_state_dict((checkpoint.training.strategies or {})[name])
     state.model.formations.load_state_dict(model.formations.state_dict())
     training = checkpoint.training
-    state.growing, state.offsets_dropped = training.growing, training.offsets_dropped
-    state.budget_due, state.trimmed = training.budget_due, training.trimmed
-    state.best_validation = training.best_validation
+    state.load_budget(training)
     if training.noise_watch is not None and state.noise_watch is not None:
         state.noise_watch.load_state_dict(training.noise_watch)
     for strategy in state.strategies.values():
         strategy.growing = training.growing
-    state.counts = shared_counts(team, state.model)
-
-
-def shared_counts(team: Team, model: SceneModel) -> dict[str, list[int]]:
-    """Gaussians of each rank, by set of a model that is divided."""
-    return {name: [held for (held,) in team.numbers([len(model.gaussians(name))])] for name in model.gaussian_sets}
+    count_anew(team, state)
 
 
 def _gaussians_like(gaussians: Gaussians, parameters: dict[str, Tensor]) -> Gaussians:

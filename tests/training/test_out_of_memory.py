@@ -4,7 +4,7 @@ import pytest
 import torch
 import warp as wp
 
-from thermosplat.training.session.out_of_memory import is_out_of_memory, out_of_memory_error
+from thermosplat.training.out_of_memory import is_out_of_memory, out_of_memory_error
 
 
 def test_torch_allocation_that_fails() -> None:

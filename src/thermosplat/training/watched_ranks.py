@@ -11,7 +11,8 @@ from pathlib import Path
 
 from thermosplat.scene.model import SceneModel
 from thermosplat.stop_signals import Stopped, signal_of
-from thermosplat.training.sharing.divided_trainer import DividedTrainer, given
+from thermosplat.training.session.safekeeping import given
+from thermosplat.training.trainer import Trainer
 from thermosplat.viewer.training_watch import TrainingWatch
 from thermosplat.viewer.turns import TRAINING_SHARE
 
@@ -35,18 +36,18 @@ class Follower:
         trainer: Its training.
     """
 
-    def __init__(self, trainer: DividedTrainer) -> None:
+    def __init__(self, trainer: Trainer) -> None:
         self._trainer = trainer
         trainer.between_steps = lambda _: self.between_steps()
 
     def between_steps(self) -> None:
         """Called after each step."""
         trainer = self._trainer
-        if not trainer.called:
+        if not trainer.meetings.called:
             return
         while (word := _heard(trainer)) is not Word.GO_ON:
             if word is Word.COPY:
-                trainer.gathered(training=False)
+                trainer.keeping.gathered(training=False)
             elif word is Word.SAVE:
                 trainer.save()
 
@@ -59,12 +60,12 @@ class Leader:
         watch: What viewers ask; its scene gets the copies.
     """
 
-    def __init__(self, trainer: DividedTrainer, watch: TrainingWatch) -> None:
+    def __init__(self, trainer: Trainer, watch: TrainingWatch) -> None:
         self._trainer, self._watch = trainer, watch
         self._has_copy = False
         self._next_copy = 0.0
         watch.on_wait = self._wait
-        trainer.calls = self.calls
+        trainer.meetings.calls = self.calls
         trainer.between_steps = lambda _: self.between_steps()
 
     @property
@@ -92,14 +93,14 @@ class Leader:
     def between_steps(self) -> None:
         """Called after each step."""
         trainer, watch = self._trainer, self._watch
-        if not trainer.called:
+        if not trainer.meetings.called:
             self._go_on_alone()
             return
         try:
             self._copy()
             watch.between_steps(self)
         except KeyboardInterrupt as stop:  # a viewer's, or a signal to any rank; all stop after this meeting
-            trainer.wish.note(signal_of(stop))
+            trainer.meetings.note(signal_of(stop))
         self._say(Word.GO_ON)
 
     def _go_on_alone(self) -> None:
@@ -117,7 +118,7 @@ class Leader:
         """Show the scene of now. What the copy costs is paid for by a pause after it."""
         trainer, scene, started = self._trainer, self._watch.scene, time.perf_counter()
         self._say(Word.COPY)
-        whole = given(trainer.gathered(training=False))
+        whole = given(trainer.keeping.gathered(training=False))
         scene.model = SceneModel.from_checkpoint(whole, "cpu")  # the last copy leaves the device before
         scene.model.to(trainer.device)
         self._has_copy, now = True, time.perf_counter()
@@ -136,10 +137,10 @@ class Leader:
     def _say(self, word: Word) -> list[int]:
         """Tell the others; the signals that the ranks have had, by rank, 0 for none."""
         trainer = self._trainer
-        return [number for _, number in trainer.team.objects((word, trainer.wish.number))]
+        return [number for _, number in trainer.team.objects((word, trainer.meetings.signal))]
 
 
-def _heard(trainer: DividedTrainer) -> Word:
+def _heard(trainer: Trainer) -> Word:
     """What rank 0 says."""
-    word: Word = trainer.team.objects((None, trainer.wish.number))[0][0]
+    word: Word = trainer.team.objects((None, trainer.meetings.signal))[0][0]
     return word

@@ -5,10 +5,11 @@ graph is good as long as the tensors it works on are the same ones: until Gaussi
 the spherical harmonics changes, or frames have another size. Frames are copied into tensors that stay. Where all frames
 get another size (``resolution``), or a spectrum a teacher that is rendered too, steps run line by line again for as
 long as it takes to see their pairs.
+
+Exchanges between ranks are part of the graphs, with room for so many rows. So every rank must replay a step, or none:
+before each step the hosts agree on what they do.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -17,10 +18,9 @@ import torch
 
 from thermosplat.datasets.frame_tensors import FrameTensors, packed_elsewhere, packed_memory, place_in_frame
 from thermosplat.rasterizer.pair_capacity import SPARE
-from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.torch_bridge.streams import captured_in
-from thermosplat.training.batch_steps import Plan
-from thermosplat.training.training_step import StepKind, StepValues, TrainingStep
+from thermosplat.training.step_kind import Plan, StepKind, StepValues
+from thermosplat.training.training_step import TrainingStep
 
 MEASURED = 16
 """Steps that run line by line at first, to see how many pairs frames have."""
@@ -57,8 +57,8 @@ class Work(NamedTuple):
 
     shapes: tuple[_Shape | None, ...]
     """Of the frames; None of one without a view."""
-    plan: Plan | None
-    """What else the host decides about several frames; None: there is one."""
+    plan: Plan
+    """The frames of all ranks."""
     kind: StepKind
 
 
@@ -70,7 +70,7 @@ class Readiness(IntEnum):
     REPLAY = 2
 
 
-class CapturedSteps:
+class RecordedSteps:
     """Runs steps on a CUDA device, each kind of step once line by line and from then on as a graph.
 
     Args:
@@ -88,20 +88,14 @@ class CapturedSteps:
         self._graphs: dict[Work, Captured] = {}
         self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
-    @contextmanager
-    def run(self, frame: FrameTensors, kind: StepKind) -> Iterator[StepValues]:
-        """Do one step; the block goes on with it, and ends before an interrupt is heard.
-
-        The next step overwrites the values.
+    def run(self, frames: tuple[FrameTensors, ...], plan: Plan, kind: StepKind) -> StepValues:
+        """Do one step; the next one overwrites the values.
 
         Args:
-            frame: The frame.
-            kind: What is done with it.
+            frames: This rank's.
+            plan: Of all ranks.
+            kind: What is done with them.
         """
-        with deferred_interrupts():
-            yield self._run((frame,), kind, None)
-
-    def _run(self, frames: tuple[FrameTensors, ...], kind: StepKind, plan: Plan | None) -> StepValues:
         if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
             self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()
@@ -123,6 +117,15 @@ class CapturedSteps:
         return captured.values
 
     def _readiness(self, work: Work) -> Readiness:
+        """What all ranks do with a step."""
+        own, team = self._own_readiness(work), self.step.team
+        of_ranks = team.numbers([own, len(self._graphs)])
+        agreed = Readiness(min(readiness for readiness, _ in of_ranks))
+        if agreed is Readiness.CAPTURE and not all(graphs for _, graphs in of_ranks):
+            self.forget()  # some rank measures how much room is needed, which all do together
+        return agreed
+
+    def _own_readiness(self, work: Work) -> Readiness:
         if self._to_measure > 0 or work not in self._seen:
             return Readiness.LINE_BY_LINE
         if work in self._graphs:
@@ -133,15 +136,11 @@ class CapturedSteps:
 
     def _do(self, frames: tuple[FrameTensors, ...], work: Work, *, fixed_capacity: bool) -> StepValues:
         """The step itself."""
-        (frame,) = frames
-        return self.step.update(work.kind, self.step.gradients(frame, work.kind, fixed_capacity=fixed_capacity))
+        done = self.step.gradients(frames, work.kind, work.plan, fixed_capacity=fixed_capacity)
+        return self.step.update(work.kind, done)
 
     def forget(self, *, kernels: bool = False) -> None:
-        """Drop what was captured: the tensors it works on are about to change, or have changed.
-
-        Args:
-            kernels: So does what is done with them, and with that the kernels that must be loaded.
-        """
+        """As ``Steps.forget``."""
         self._graphs.clear()
         if kernels:
             self._seen.clear()
@@ -153,12 +152,10 @@ class CapturedSteps:
         self._to_measure = self._measured_anew
 
     def check_overflow(self) -> None:
-        """See whether all pairs had room; if not, those steps changed nothing, and the next ones get more room."""
-        if self._is_short():
+        """As ``Steps.check_overflow``."""
+        short = bool(self._graphs) and self.step.capacity.is_short()
+        if any(number for (number,) in self.step.team.numbers([short])):
             self.forget()
-
-    def _is_short(self) -> bool:
-        return bool(self._graphs) and self.step.capacity.is_short()
 
     def _capture(self, frames: tuple[FrameTensors, ...], work: Work) -> Captured:
         if work.shapes not in self._frames:

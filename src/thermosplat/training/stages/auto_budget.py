@@ -20,7 +20,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -42,7 +41,7 @@ from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
 from thermosplat.training.density.gaussian_ops import kept_on_failure
 from thermosplat.training.frames.spectrum_schedule import SpectrumSchedule
 from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
-from thermosplat.training.session.out_of_memory import is_out_of_memory
+from thermosplat.training.out_of_memory import is_out_of_memory
 from thermosplat.training.training_state import TrainingState
 
 WITHHELD_ONE_IN = 10
@@ -50,25 +49,6 @@ WITHHELD_ONE_IN = 10
 WATCHED_ONE_IN = 20
 """Where more than one in so many are withheld, views are few: a capture misses each of them, unless images are noisy.
 Open choice."""
-
-
-class Budget(Protocol):
-    """What a trainer asks of a budget between its steps; see ``AutoBudget``."""
-
-    def acts_at(self, step: int) -> bool:
-        """Whether something may change after this step."""
-
-    def prunes_at(self, step: int) -> bool:
-        """Whether Gaussians may be removed after this step, and captured steps no longer fit."""
-
-    def after_step(self, step: int, sh_degree: int) -> None:
-        """Do what this step is the one to do."""
-
-    def do_what_is_due(self, sh_degree: int) -> None:
-        """Leave out what is to be left out after the step done."""
-
-    def finish(self, sh_degree: int) -> None:
-        """Drop what is not needed once training is over."""
 
 
 class AutoBudget:
@@ -79,6 +59,7 @@ class AutoBudget:
         state: Model, optimizers and density control.
         frames: The training frames.
         schedule: Which of them the steps take.
+        noisy: Whether images are noisy.
         tolerances: What it may change.
         teaches: Whether spectra may be trained on what the scene showed when they were best.
         say: Tells the user something.
@@ -91,6 +72,7 @@ class AutoBudget:
         frames: CorrectedFrames,
         schedule: SpectrumSchedule,
         *,
+        noisy: bool,
         tolerances: Tolerances = TOLERANCES,
         teaches: bool = True,
         say: Callable[[str], None] = lambda line: None,
@@ -99,7 +81,7 @@ class AutoBudget:
         self.state = state
         self.frames = frames
         self.schedule = schedule
-        self.teaches = teaches
+        self.noisy, self.teaches = noisy, teaches
         self._say = say
         self.settings = config.auto_budget
         self.tolerances = tolerances
@@ -174,7 +156,7 @@ class AutoBudget:
     @property
     def _few_views(self) -> bool:
         """Whether a capture misses each of the withheld views: they are many of all, and images are not noisy."""
-        return self._withholds_many and not self.state.noisy
+        return self._withholds_many and not self.noisy
 
     @property
     def _watches_falls(self) -> bool:

@@ -1,0 +1,67 @@
+"""What a training does, resolved once: the configuration, and what the capture's images make of it.
+
+The number of training views and the noise of the images decide how many steps there are, how many Gaussians, which
+weights and which floors. A run that goes on keeps what was decided when it began, whatever its images say now.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+from thermosplat.config import TrainConfig
+from thermosplat.config.run_schedule import run_schedule, steps_note
+from thermosplat.datasets.capture import Capture
+from thermosplat.runs.checkpoint import Checkpoint
+from thermosplat.scene.formations.saved_formations import as_trained
+from thermosplat.training.budget.noise_floor import noise_floors
+from thermosplat.training.budget.tolerances import Tolerances
+from thermosplat.training.density.gaussian_limit import with_limit
+from thermosplat.training.frames.train_frames import TrainFrames
+from thermosplat.training.image_noise import training_noise
+from thermosplat.training.sensor_facts import SensorFacts
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a training does."""
+
+    asked: TrainConfig
+    """The configuration as it was given and is kept."""
+    config: TrainConfig
+    """What it means for this capture and for steps of so many frames."""
+    noisy: tuple[str, ...]
+    """Spectra whose images counted as noisy when the run began."""
+    floors: dict[str, float]
+    """By spectrum, the squared error below which no view is fitted (noise_floor.py)."""
+    notes: tuple[str, ...]
+    """What the user is told of it."""
+
+    @classmethod
+    def of(
+        cls,
+        asked: TrainConfig,
+        capture: Capture,
+        frames: TrainFrames,
+        checkpoint: Checkpoint | None,
+        tolerances: Tolerances,
+    ) -> "Recipe":
+        """The recipe of a run.
+
+        Args:
+            asked: The configuration as it was given.
+            capture: What is trained on.
+            frames: Its training frames.
+            checkpoint: What it goes on from; None: it begins.
+            tolerances: Of a budget.
+        """
+        known = None if checkpoint is None else checkpoint.training.noisy
+        facts = SensorFacts(asked, partial(training_noise, frames), known)
+        notes = steps_note(asked, len(frames), facts.noisy)
+        config = run_schedule(asked, len(frames), facts.noisy)
+        if checkpoint is not None:
+            # its noise has decided, whatever that of images of another size would
+            trained = as_trained(config.modelled, checkpoint.model.decoders)
+            config = replace(config, spectra={**config.spectra, **trained})
+        config, of_noise = facts.fitted(config, blur_is_known=checkpoint is not None)
+        config, of_limit = with_limit(config, capture, facts.noisy)
+        floors, of_floors = noise_floors(config, facts, tolerances.noise_floor)
+        return cls(asked, config, facts.noisy, floors, (*notes, *of_noise, *of_floors, *of_limit))
