@@ -59,8 +59,9 @@ def main(argv: list[str] | None = None) -> int:
 def _report(arguments: ReportArguments) -> int:
     with importing():
         from thermosplat.reporting.camera_facts import camera_facts
-        from thermosplat.reporting.content import Report, blocks_of
+        from thermosplat.reporting.content import Report, blocks_of, findings_of
         from thermosplat.reporting.findings import LEAST_DEGREES, find
+        from thermosplat.reporting.findings_file import FINDINGS_FILE, REPORT_FOLDER, findings_text
         from thermosplat.reporting.page_html import html_of
         from thermosplat.reporting.page_pdf import pdf_library, pdf_of
         from thermosplat.reporting.report_file import REPORT_FILE, read_report, write_first
@@ -114,7 +115,8 @@ def _report(arguments: ReportArguments) -> int:
     metres = pages.metres_per_unit or known_scale(scene.capture) or (1.0 if scene.capture.geo else None)
     listed, without_entry = said.ordered(found.findings, metres)
     if without_entry:
-        print(f"{without_entry} findings are not in {file}, and come last.")
+        some = "1 finding is" if without_entry == 1 else f"{without_entry} findings are"
+        print(f"{some} not in {file} and will come last in the report.")
     report = Report(
         words=Words(arguments.language),
         measurer=measurer,
@@ -130,14 +132,15 @@ def _report(arguments: ReportArguments) -> int:
         reference_name=arguments.reference,
     )
     blocks = blocks_of(report)
-    output = folder.parent / "report" if arguments.output is None else Path(os.path.expanduser(arguments.output))
+    output = folder.parent / REPORT_FOLDER if arguments.output is None else Path(os.path.expanduser(arguments.output))
     if "html" in arguments.format:
         write_text(output / "report.html", html_of(blocks, arguments.language))
         print(output / "report.html")
     if "pdf" in arguments.format:
         write_bytes(output / "report.pdf", pdf_of(blocks, arguments.language))
         print(output / "report.pdf")
-    print(f"{len(listed)} findings")
+    write_text(output / FINDINGS_FILE, findings_text(spectrum, report.unit, findings_of(report)))
+    print(f"{len(listed)} finding{'' if len(listed) == 1 else 's'}")
     return 0
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,6 +72,31 @@ def blocks_of(report: Report) -> list[Block]:
     """The report from its first page to its last."""
     parts = (_first_page, _plan, _findings, _measurements, _photovoltaics, _form)
     return [block for part in parts for block in part(report)]
+
+
+def findings_of(report: Report) -> list[dict[str, Any]]:
+    """The findings for ``findings_file``, in the order of the report."""
+    listed = []
+    for number, (one, entry) in enumerate(report.findings, 1):
+        numbers = [
+            f"{report.words['mean']} {report.value(one.mean)}",
+            f"{_delta(report)} {report.step(one.difference)}",
+            f"{report.words['area']} {_area(report, one)}",
+        ]
+        said = filter(None, (*numbers, entry.severity, entry.comment))
+        listed.append(
+            {
+                "name": f"{number} {entry.title}".strip(),
+                "text": ", ".join(said),
+                "place": list(one.region.place),
+                "minimum": one.minimum,
+                "maximum": one.maximum,
+                "mean": one.mean,
+                "reference": one.reference,
+                "area": one.region.area if one.area is None else one.area,
+            }
+        )
+    return listed
 
 
 def _first_page(report: Report) -> Iterator[Block]:

@@ -34,7 +34,7 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
     from thermosplat.export.scene import write_scene
 
     frame = ExportFrame(loaded.model.placement, loaded.geo)
-    scene, sources = _scene(arguments, loaded, frame)
+    scene, sources = fitted_scene(arguments, loaded, frame)
     if arguments.format == "ply":
         scalars = None
         if arguments.values:
@@ -86,10 +86,19 @@ def _values(arguments: "ExportArguments", loaded: "LoadedRun", measured: dict[st
     return values
 
 
-def _scene(
+def fitted_scene(
     arguments: "ExportArguments", loaded: "LoadedRun", frame: "ExportFrame"
 ) -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
-    """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of."""
+    """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of.
+
+    Args:
+        arguments: The command's: spectra, colours, passes of the fit.
+        loaded: The run.
+        frame: Where positions of files count from.
+
+    Raises:
+        UserError: There is no capture to fit to, or no such spectrum.
+    """
     from thermosplat.export.scene import scene_splats
 
     names = arguments.chosen(list(loaded.model.spectra))

@@ -1,0 +1,76 @@
+"""Gaussians as few bytes for the page: what ``unpack.js`` reads.
+
+Positions have 16 bits between the bounds of their 256 neighbours on a Morton curve. Scales and colours are indices into
+codebooks of 256 numbers, quaternions their three smallest components of 8 bits. A spectrum of values has one channel,
+of 16 bits, as temperatures need more steps than colours. Harmonics of colours are an index into a palette of vectors,
+as in SOG. Columns lie one after the other, which gzip likes, the wider numbers first, which need aligned places.
+"""
+
+import gzip
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.export.formats.codebooks import value_codebook, vector_codebook
+from thermosplat.export.formats.packed_quaternions import smallest_three
+from thermosplat.export.splats import Splats, drawable, morton_order
+
+CHUNK = 256
+"""Gaussians that share bounds."""
+_BOOK = 256
+_PALETTE_SHARE = 4
+"""Gaussians per entry of the palette of harmonics."""
+_MOST_ENTRIES = 32_768
+"""Of that palette: beyond it the file grows and images stay as near (SOG's most is 65,536)."""
+
+
+def packed(splats: Splats, channels: int) -> tuple[dict[str, Any], bytes]:
+    """Gaussians for the page.
+
+    Args:
+        splats: In the page's frame; those that cannot be seen are left out.
+        channels: 3 of colours, 1 of a value, which is the mean of the three.
+
+    Returns:
+        What the page has to know of them, and the compressed bytes.
+    """
+    shown = drawable(splats)
+    shown = shown[morton_order(shown.means)]
+    count, bases = len(shown), shown.shN.shape[1]
+    bounds, positions = _positions(shown.means)
+    scale_book, scales = value_codebook(shown.log_scales, _BOOK)
+    largest, others = smallest_three(shown.quats)
+    quats = np.concatenate([np.rint((0.5 + others * np.sqrt(0.5)) * 255.0), largest[:, None]], axis=1)
+    books, wide, narrow = [bounds, scale_book], [positions.T], [scales.T, quats.T, np.rint(shown.opacities * 255.0)]
+    described: dict[str, Any] = {"count": count, "bases": bases, "channels": channels, "entries": 0}
+    if channels == 1:
+        level = shown.sh0.mean(axis=1)
+        low, high = (float(level.min()), float(level.max())) if count else (0.0, 0.0)
+        described["level"] = (low, high)
+        wide.append(np.rint((level - low) / max(high - low, 1e-12) * 65535.0))
+        harmonics = shown.shN.mean(axis=2)
+    else:
+        color_book, colors = value_codebook(shown.sh0, _BOOK)
+        books.append(color_book)
+        narrow.append(colors.T)
+        harmonics = shown.shN.reshape(count, -1)
+    if bases:
+        if channels == 3:
+            harmonics, labels = vector_codebook(harmonics, min(_MOST_ENTRIES, max(1, count // _PALETTE_SHARE)))
+            wide.append(labels)
+        book, indices = value_codebook(harmonics, _BOOK)
+        books.append(book)
+        narrow.append(indices.T)
+        described["entries"] = len(harmonics)
+    content = [np.ascontiguousarray(part, kind).tobytes() for kind, parts in (("<f4", books), ("<u2", wide), ("u1", narrow)) for part in parts]
+    return described, gzip.compress(b"".join(content), 9, mtime=0)
+
+
+def _positions(means: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bounds of each chunk, [chunks, 6], least and largest, and places between them in 16 bits, [M, 3]."""
+    starts = np.arange(0, len(means), CHUNK)
+    low, high = (kind.reduceat(means.astype(np.float64), starts) for kind in (np.minimum, np.maximum))
+    of_each = np.arange(len(means)) // CHUNK
+    shares = (means - low[of_each]) / np.maximum(high - low, 1e-12)[of_each]
+    return np.concatenate([low, high], axis=1), np.rint(shares * 65535.0)
