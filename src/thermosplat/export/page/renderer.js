@@ -1,4 +1,4 @@
-// Splats on WebGL 2: sorted from far to near, blended into a picture of floats per spectrum. Colours blend as they are;
+// Splats on WebGL 2: sorted from near to far, blended into a picture of floats per spectrum. Colours blend as they are;
 // of a spectrum of values the value and the depth blend, and the palette comes after, as the rasterizer does it.
 const CORNER = `#version 300 es
   in vec2 corner;
@@ -31,27 +31,30 @@ const COLORS = `#version 300 es
     color = vec4(max(sum + 0.5, 0.0), 1.0);
   }`;
 
-// A splat as a rectangle of 3.33 standard deviations, or up to where its alpha is below 1/255, as the rasterizer has it.
-const SPLAT = `#version 300 es
+// Where each splat lies in the picture, in the order of their depths: its middle, its axes up to 3.33 standard
+// deviations, or up to where its alpha is below 1/255, as the rasterizer has them, and what blends.
+const PROJECTION = `#version 300 es
   precision highp float;
-  in vec2 corner;
-  in uint splat;
+  uniform highp usampler2D order;
   uniform highp sampler2D means, covariances, colors;
-  uniform int columns;
+  uniform int columns, count;
   uniform bool value;
   uniform mat3 turn;
   uniform vec3 shift;
   uniform vec2 focal, middle, size;
-  flat out vec4 shade;
-  out vec2 along;
+  layout(location = 0) out vec4 place;
+  layout(location = 1) out vec4 axes;
+  layout(location = 2) out vec4 shade;
   void main() {
-    int i = int(splat);
+    ivec2 here = ivec2(gl_FragCoord.xy);
+    if (here.y * columns + here.x >= count) discard;
+    int i = int(texelFetch(order, here, 0).r);
     ivec2 at = ivec2(i % columns, i / columns);
-    vec4 mean = texelFetch(means, at, 0);
-    vec3 p = turn * mean.xyz + shift;
-    at = ivec2((2 * i) % (2 * columns), i / columns);
+    vec4 mean = texelFetch(means, at, 0), color = texelFetch(colors, at, 0);
+    at.x *= 2;
     vec3 m = texelFetch(covariances, at, 0).xyz, n = texelFetch(covariances, at + ivec2(1, 0), 0).xyz;
     mat3 covariance = mat3(m, vec3(m.y, n.xy), vec3(m.z, n.yz));
+    vec3 p = turn * mean.xyz + shift;
     vec2 edge = 0.15 * size / focal, ray = clamp(p.xy / p.z, -middle / focal - edge, (size - middle) / focal + edge);
     mat3x2 jacobian = mat3x2(focal.x / p.z, 0.0, 0.0, focal.y / p.z, -focal * ray / p.z);
     mat3x2 onto = jacobian * turn;
@@ -59,12 +62,27 @@ const SPLAT = `#version 300 es
     float half_sum = 0.5 * (c[0][0] + c[1][1]), apart = length(vec2(0.5 * (c[0][0] - c[1][1]), c[0][1]));
     vec2 first = vec2(c[0][1], half_sum + apart - c[0][0]);
     first = dot(first, first) > 1e-12 ? normalize(first) : (c[0][0] >= c[1][1] ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
-    along = corner * min(3.33, sqrt(2.0 * log(max(255.0 * mean.w, 1.0))));
-    vec2 pixel = focal * p.xy / p.z + middle + along.x * sqrt(half_sum + apart) * first
-      + along.y * sqrt(max(half_sum - apart, 0.0)) * vec2(-first.y, first.x);
-    vec4 color = texelFetch(colors, ivec2(i % columns, i / columns), 0);
+    float extent = min(3.33, sqrt(2.0 * log(max(255.0 * mean.w, 1.0))));
+    place = vec4(2.0 * (focal * p.xy / p.z + middle) / size - 1.0, extent, 0.0);
+    axes = vec4(sqrt(half_sum + apart) * first, sqrt(max(half_sum - apart, 0.0)) * vec2(-first.y, first.x));
+    axes *= extent * 2.0 / size.xyxy;
     shade = vec4(value ? vec3(color.r, p.z, 0.0) : color.rgb, mean.w);
-    gl_Position = vec4(2.0 * pixel / size - 1.0, 0.0, 1.0);
+  }`;
+
+const SPLAT = `#version 300 es
+  precision highp float;
+  uniform highp sampler2D places, axes, shades;
+  uniform int columns;
+  flat out vec4 shade;
+  out vec2 along;
+  void main() {
+    int i = gl_VertexID / 4;
+    ivec2 at = ivec2(i % columns, i / columns);
+    vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
+    vec4 place = texelFetch(places, at, 0), axis = texelFetch(axes, at, 0);
+    shade = texelFetch(shades, at, 0);
+    along = corner * place.z;
+    gl_Position = vec4(place.xy + corner.x * axis.xy + corner.y * axis.zw, 0.0, 1.0);
   }`;
 
 const BLEND = `#version 300 es
@@ -116,21 +134,14 @@ class Renderer {
     this.corners = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
-    this.order = gl.createBuffer();
     this.whole = gl.createVertexArray();
+    gl.bindVertexArray(this.whole);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
     this.many = gl.createVertexArray();
-    for (const array of [this.whole, this.many]) {
-      gl.bindVertexArray(array);
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.corners);
-      gl.enableVertexAttribArray(0);
-      gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
-    }
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.enableVertexAttribArray(1);
-    gl.vertexAttribIPointer(1, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(1, 1);
-    [this.coloring, this.blending, this.showing] = [[CORNER, COLORS], [SPLAT, BLEND], [CORNER, SHOWN]].map((pair) =>
-      this.program(...pair));
+    this.most = 0;
+    const pairs = [[CORNER, COLORS], [CORNER, PROJECTION], [SPLAT, BLEND], [CORNER, SHOWN]];
+    [this.coloring, this.projecting, this.blending, this.showing] = pairs.map((pair) => this.program(...pair));
     this.palette = this.texture(gl.RGBA8, 256, 1, gl.RGBA, gl.UNSIGNED_BYTE, null);
     this.nothing = this.texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, null);
   }
@@ -144,7 +155,6 @@ class Renderer {
       gl.attachShader(program, shader);
     });
     gl.bindAttribLocation(program, 0, "corner");
-    gl.bindAttribLocation(program, 1, "splat");
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost())
       throw new Error("This graphics card cannot draw splats: "
@@ -166,12 +176,15 @@ class Renderer {
     return made;
   }
 
-  target(width, height, internal) {
-    const gl = this.gl, frame = gl.createFramebuffer();
-    const texture = this.texture(internal, width, height, gl.RGBA, internal === gl.RGBA32F ? gl.FLOAT : gl.HALF_FLOAT, null);
+  // Something to draw into: so many textures.
+  target(width, height, count = 1) {
+    const gl = this.gl, frame = gl.createFramebuffer(), type = this.format === gl.RGBA32F ? gl.FLOAT : gl.HALF_FLOAT;
+    const textures = Array.from({ length: count }, () => this.texture(this.format, width, height, gl.RGBA, type, null));
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    return { frame, texture, width, height };
+    textures.forEach((texture, k) =>
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, texture, 0));
+    gl.drawBuffers(textures.map((_, k) => gl.COLOR_ATTACHMENT0 + k));
+    return { frame, textures, width, height };
   }
 
   // A table of numbers, `each` pixels of `channels` numbers per row of it, in rows of `columns` such groups.
@@ -184,20 +197,32 @@ class Renderer {
   }
 
   add(splats) {
-    const columns = Math.max(1, Math.min(this.widest / 2, Math.ceil(Math.sqrt(splats.count))));
+    const gl = this.gl, columns = Math.max(1, Math.min(this.widest / 2, Math.ceil(Math.sqrt(splats.count))));
     const rows = Math.max(1, Math.ceil(splats.count / columns));
+    if (splats.count > this.most) this.makeRoom(splats.count);
     return {
       ...splats, columns, rows,
       means: this.table(splats.means, 4, 1, columns), places: splats.means,
       covariances: this.table(splats.covariances, 3, 2, columns),
       flats: this.table(splats.flat, 4, 1, columns),
       harmonics: splats.bases ? this.table(splats.harmonics, splats.channels === 3 ? 4 : 1, 1, this.widest) : this.nothing,
-      colors: this.target(columns, rows, this.format), picture: null, seen: "", eye: "",
-      sorted: new Uint32Array(splats.count), depths: new Float32Array(splats.count), kept: new Uint32Array(splats.count),
+      order: this.texture(gl.R32UI, columns, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, null),
+      colors: this.target(columns, rows), projected: this.target(columns, rows, 3), picture: null, seen: "", eye: "",
+      sorted: new Uint32Array(columns * rows), depths: new Float32Array(splats.count), kept: new Uint32Array(splats.count),
     };
   }
 
-  // Splats within the picture from far to near, as a counting sort of the first bits of their depths has them.
+  // Two triangles for each splat. Not instances: drawing in software begins anew with each of them.
+  makeRoom(count) {
+    const gl = this.gl, corners = new Uint32Array(6 * count);
+    for (let i = 0; i < count; i++) corners.set([4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 2, 4 * i + 1, 4 * i + 3], 6 * i);
+    this.most = count;
+    gl.bindVertexArray(this.many);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+  }
+
+  // Splats within the picture from near to far, as a counting sort of the first bits of their depths has them.
   sort(set, { turn, shift, focal, middle, size }) {
     const { count, places, radii, depths, kept, sorted } = set, bits = new Uint32Array(depths.buffer);
     const wide = Math.max(middle[0], size[0] - middle[0]) / focal[0], tall = Math.max(middle[1], size[1] - middle[1]) / focal[1];
@@ -217,9 +242,9 @@ class Renderer {
       kept[seen++] = i;
     }
     const starts = new Uint32Array(seen ? most - least + 2 : 1);
-    for (let i = 0; i < seen; i++) starts[most - bits[i] + 1]++;
+    for (let i = 0; i < seen; i++) starts[bits[i] - least + 1]++;
     for (let i = 1; i < starts.length; i++) starts[i] += starts[i - 1];
-    for (let i = 0; i < seen; i++) sorted[starts[most - bits[i]]++] = kept[i];
+    for (let i = 0; i < seen; i++) sorted[starts[bits[i] - least]++] = kept[i];
     return seen;
   }
 
@@ -240,42 +265,57 @@ class Renderer {
     const seen = JSON.stringify(camera);
     if (set.seen === seen) return;
     if (set.picture?.width !== width || set.picture?.height !== height) {
-      if (set.picture) gl.deleteFramebuffer(set.picture.frame), gl.deleteTexture(set.picture.texture);
-      set.picture = this.target(width, height, this.format);
+      if (set.picture) gl.deleteFramebuffer(set.picture.frame), gl.deleteTexture(set.picture.textures[0]);
+      set.picture = this.target(width, height);
     }
+    gl.disable(gl.BLEND);
+    gl.bindVertexArray(this.whole);
     const eye = [0, 1, 2].map((k) => -(turn[k] * shift[0] + turn[3 + k] * shift[1] + turn[6 + k] * shift[2]));
     if (set.eye !== String(eye)) {
       gl.bindFramebuffer(gl.FRAMEBUFFER, set.colors.frame);
       gl.viewport(0, 0, set.columns, set.rows);
-      gl.disable(gl.BLEND);
       const places = this.use(this.coloring, { means: set.means, flats: set.flats, harmonics: set.harmonics });
       gl.uniform3fv(places.eye, eye);
       gl.uniform1i(places.bases, set.bases);
       gl.uniform1i(places.wide, this.widest);
-      gl.bindVertexArray(this.whole);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
       set.eye = String(eye);
     }
     const count = this.sort(set, camera);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, set.picture.frame);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, set.order);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, set.columns, set.rows, gl.RED_INTEGER, gl.UNSIGNED_INT, set.sorted);
+    this.project(set, camera, count);
+    this.blend(set, count);
+    set.seen = seen;
+  }
+
+  project(set, { turn, shift, focal, middle, size }, count) {
+    const gl = this.gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, set.projected.frame);
+    gl.viewport(0, 0, set.columns, Math.max(1, Math.ceil(count / set.columns)));
+    const read = { order: set.order, means: set.means, covariances: set.covariances, colors: set.colors.textures[0] };
+    const places = this.use(this.projecting, read);
+    gl.uniform1i(places.columns, set.columns);
+    gl.uniform1i(places.count, count);
+    gl.uniform1i(places.value, set.channels === 1);
+    gl.uniformMatrix3fv(places.turn, true, turn);
+    gl.uniform3fv(places.shift, shift);
+    for (const [name, pair] of Object.entries({ focal, middle, size })) gl.uniform2fv(places[name], pair);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+  }
+
+  blend(set, count) {
+    const gl = this.gl, { frame, width, height } = set.picture, [place, axes, shades] = set.projected.textures;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.enable(gl.BLEND);
-    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const places = this.use(this.blending, { means: set.means, covariances: set.covariances, colors: set.colors.texture });
-    gl.uniform1i(places.columns, set.columns);
-    gl.uniform1i(places.value, set.channels === 1);
-    gl.uniformMatrix3fv(places.turn, true, turn);
-    gl.uniform3fv(places.shift, shift);
-    gl.uniform2fv(places.focal, focal);
-    gl.uniform2fv(places.middle, middle);
-    gl.uniform2fv(places.size, size);
+    gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
+    gl.uniform1i(this.use(this.blending, { places: place, axes, shades }).columns, set.columns);
     gl.bindVertexArray(this.many);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.bufferData(gl.ARRAY_BUFFER, set.sorted.subarray(0, count), gl.STREAM_DRAW);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
-    set.seen = seen;
+    gl.drawElements(gl.TRIANGLES, 6 * count, gl.UNSIGNED_INT, 0);
   }
 
   // The pictures of two layers on the canvas: {set, span, back} each; the second one behind the wipe, by its share.
@@ -284,7 +324,7 @@ class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.BLEND);
-    const textures = { first: first.set.picture.texture, second: second.set.picture.texture, palette: this.palette };
+    const textures = { first: first.set.picture.textures[0], second: second.set.picture.textures[0], palette: this.palette };
     const places = this.use(this.showing, textures);
     gl.uniform2i(places.value, first.set.channels === 1, second.set.channels === 1);
     gl.uniform4fv(places.span, [...first.span, ...second.span]);
