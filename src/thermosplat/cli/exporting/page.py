@@ -40,7 +40,7 @@ def export_page(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path)
 
     capture, placement = loaded.capture(arguments.data), loaded.model.placement
     viewed = ViewedScene("", loaded.model, loaded.sh_degree, dict(loaded.scales), loaded.device, capture)
-    scene, _ = fitted_scene(dataclasses.replace(arguments, colors="scalar"), loaded, ExportFrame(placement))
+    scene, _ = fitted_scene(arguments, loaded, ExportFrame(placement), colors="scalar")
     for name, (splats, _) in scene.items():
         check_degree("html", name, splats)
     layers = [_layer(loaded, viewed, name, splats) for name, (splats, _) in scene.items()]

@@ -122,7 +122,7 @@ function steer(element, camera, { moved, clicked, hovered }) {
   };
   element.addEventListener("pointerup", up);
   element.addEventListener("pointercancel", up);
-  element.addEventListener("pointerleave", () => hovered(null));
+  element.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && hovered(null));
   element.addEventListener("contextmenu", (event) => event.preventDefault());
   element.addEventListener("wheel", (event) => {
     event.preventDefault();

@@ -1,7 +1,7 @@
 // The page itself: what is chosen, what is drawn when, and what the pointer reads.
 const byId = (id) => document.getElementById(id);
 const settings = { tool: "read", scale: 1, wipe: 0.5, share: 0.5 };
-const KEEP = 0.9; // cover of a pixel from which on its value is told, as LEAST_COVER of scene/rendered_frame.py
+const LEAST_COVER = 0.02; // of a pixel whose value is told: Gaussians of temperatures are thin
 
 function say(text) {
   byId("message").textContent = text;
@@ -70,21 +70,23 @@ async function start() {
     settings.scale = 1;
     const view = seen(), layer = measured(), [width, height] = view.size;
     renderer.draw(layer.set, view);
-    const told = (four) => four[3] >= KEEP;
-    const value = (four) => layer.range[0] + (four[0] + (1 - four[3]) * layer.back[0]) * (layer.range[1] - layer.range[0]);
+    const share = (four) => four[0] + (1 - four[3]) * layer.back[0];
+    const value = (four) => (four[3] >= LEAST_COVER ? layer.range[0] + share(four) * (layer.range[1] - layer.range[0]) : null);
     const within = (x, y) => x >= 0 && y >= 0 && x < width && y < height;
-    const pixel = (x, y) => (within(x, y) ? renderer.read(layer.set, Math.floor(x), Math.floor(y), 1, 1) : [0, 0, 0, 0]);
     let all = null;
     return {
       width, height, camera: view, layer,
-      here: (x, y) => {
-        const four = pixel(x, y);
-        return told(four) ? { value: value(four), depth: four[1] / four[3], point: lifted(x, y, four[1] / four[3], view) } : null;
-      },
+      here: (x, y) => (within(x, y) ? value(renderer.read(layer.set, Math.floor(x), Math.floor(y), 1, 1)) : null),
       value: (x, y) => {
         all ??= renderer.read(layer.set, 0, 0, width, height);
-        const at = 4 * (y * width + x), four = within(x, y) ? all.subarray(at, at + 4) : [0, 0, 0, 0];
-        return told(four) ? value(four) : null;
+        return within(x, y) ? value(all.subarray(4 * (y * width + x))) : null;
+      },
+      // The opaque splats say where the surface is: those of photographs, where there are any.
+      point: (x, y) => {
+        const { set } = layers.find((one) => one.set.channels === 3) ?? layer;
+        renderer.draw(set, view, true);
+        const four = within(x, y) ? renderer.read(set, Math.floor(x), Math.floor(y), 1, 1) : [0, 0, 0, 0];
+        return four[3] >= LEAST_COVER ? lifted(x, y, four[0] / four[3], view) : null;
       },
     };
   };
@@ -93,9 +95,9 @@ async function start() {
     const box = byId("value");
     if (!at || !measured()) return (box.hidden = true);
     const now = picture(), found = now.here(...place(at, now));
-    box.hidden = !found;
-    if (!found) return;
-    box.textContent = `${marks.withUnit(found.value, now.layer)}, ${marks.extent(found.depth)} away`;
+    box.hidden = found === null;
+    if (found === null) return;
+    box.textContent = marks.withUnit(found, now.layer);
     box.style.left = `${Math.min(at.x + 14, canvas.clientWidth - box.offsetWidth - 6)}px`;
     box.style.top = `${Math.min(at.y + 14, canvas.clientHeight - box.offsetHeight - 6)}px`;
   };
@@ -109,10 +111,10 @@ async function start() {
   const clicked = (at) => {
     const kind = settings.tool;
     if (kind === "read" || !measured()) return hovered(at);
-    const now = picture(), found = now.here(...place(at, now));
-    if (!found) return say("Nothing is there, or too little of it.");
+    const now = picture(), point = now.point(...place(at, now));
+    if (!point) return say("Nothing is there, or too little of it.");
     say("");
-    marks.open.push(found.point);
+    marks.open.push(point);
     const enough = { spot: 1, note: 1, line: 2 }[kind];
     if (enough === marks.open.length) finish(kind);
     byId("finish").hidden = !(kind === "area" && marks.open.length > 2);
@@ -245,6 +247,10 @@ async function start() {
       const { set } = layers.find((layer) => layer.key === name), view = seen();
       renderer.draw(set, view);
       return Array.from(renderer.read(set, 0, 0, ...view.size));
+    },
+    values() {
+      const now = picture();
+      return Array.from({ length: now.width * now.height }, (_, k) => now.value(k % now.width, Math.floor(k / now.width)));
     },
     here: (x, y) => picture().here(x, y),
   };

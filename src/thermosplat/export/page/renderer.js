@@ -1,5 +1,5 @@
 // Splats on WebGL 2: sorted from near to far, blended into a picture of floats per spectrum. Colours blend as they are;
-// of a spectrum of values the value and the depth blend, and the palette comes after, as the rasterizer does it.
+// of a spectrum of values the values blend, and the palette comes after, as in the model. Depths blend when asked for.
 const CORNER = `#version 300 es
   in vec2 corner;
   void main() { gl_Position = vec4(corner, 0.0, 1.0); }`;
@@ -38,7 +38,7 @@ const PROJECTION = `#version 300 es
   uniform highp usampler2D order;
   uniform highp sampler2D means, covariances, colors;
   uniform int columns, count;
-  uniform bool value;
+  uniform bool depth;
   uniform mat3 turn;
   uniform vec3 shift;
   uniform vec2 focal, middle, size;
@@ -66,7 +66,7 @@ const PROJECTION = `#version 300 es
     place = vec4(2.0 * (focal * p.xy / p.z + middle) / size - 1.0, extent, 0.0);
     axes = vec4(sqrt(half_sum + apart) * first, sqrt(max(half_sum - apart, 0.0)) * vec2(-first.y, first.x));
     axes *= extent * 2.0 / size.xyxy;
-    shade = vec4(value ? vec3(color.r, p.z, 0.0) : color.rgb, mean.w);
+    shade = vec4(depth ? vec3(p.z) : color.rgb, mean.w);
   }`;
 
 const SPLAT = `#version 300 es
@@ -108,9 +108,9 @@ const SHOWN = `#version 300 es
   uniform float wipe, share;
   out vec4 color;
   vec3 seen(vec4 pixel, vec3 back, bool value, vec2 span) {
-    pixel.rgb += (1.0 - pixel.a) * (value ? vec3(back.x, 0.0, 0.0) : back);
+    pixel.rgb += (1.0 - pixel.a) * back;
     if (!value) return clamp(pixel.rgb, 0.0, 1.0);
-    if (band.z > 0.5 && pixel.a > 0.5 && pixel.r >= band.x && pixel.r <= band.y) return vec3(0.1, 0.95, 0.35);
+    if (band.z > 0.5 && pixel.r >= band.x && pixel.r <= band.y) return vec3(0.1, 0.95, 0.35);
     float at = clamp((pixel.r - span.x) / max(span.y - span.x, 1e-9), 0.0, 1.0);
     return texture(palette, vec2((at * 255.0 + 0.5) / 256.0, 0.5)).rgb;
   }
@@ -260,9 +260,8 @@ class Renderer {
   }
 
   // Draw a set as a camera sees it; nothing where that is there already.
-  draw(set, camera) {
-    const gl = this.gl, { turn, shift, focal, middle, size } = camera, [width, height] = size;
-    const seen = JSON.stringify(camera);
+  draw(set, camera, depth = false) {
+    const gl = this.gl, { turn, shift, size: [width, height] } = camera, seen = JSON.stringify([camera, depth]);
     if (set.seen === seen) return;
     if (set.picture?.width !== width || set.picture?.height !== height) {
       if (set.picture) gl.deleteFramebuffer(set.picture.frame), gl.deleteTexture(set.picture.textures[0]);
@@ -285,12 +284,12 @@ class Renderer {
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, set.order);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, set.columns, set.rows, gl.RED_INTEGER, gl.UNSIGNED_INT, set.sorted);
-    this.project(set, camera, count);
+    this.project(set, camera, count, depth);
     this.blend(set, count);
     set.seen = seen;
   }
 
-  project(set, { turn, shift, focal, middle, size }, count) {
+  project(set, { turn, shift, focal, middle, size }, count, depth) {
     const gl = this.gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, set.projected.frame);
     gl.viewport(0, 0, set.columns, Math.max(1, Math.ceil(count / set.columns)));
@@ -298,7 +297,7 @@ class Renderer {
     const places = this.use(this.projecting, read);
     gl.uniform1i(places.columns, set.columns);
     gl.uniform1i(places.count, count);
-    gl.uniform1i(places.value, set.channels === 1);
+    gl.uniform1i(places.depth, depth);
     gl.uniformMatrix3fv(places.turn, true, turn);
     gl.uniform3fv(places.shift, shift);
     for (const [name, pair] of Object.entries({ focal, middle, size })) gl.uniform2fv(places[name], pair);

@@ -9,7 +9,7 @@ async function unzipped(base64) {
 }
 
 // Means with opacities [N, 4], covariances [N, 6], colours of degree 0 [N, 4], harmonics [entries, bases, 4 or 1].
-function splatsOf({ count, bases, channels, entries, level }, buffer) {
+function splatsOf({ count, bases, channels, entries, level, smallest }, buffer) {
   let offset = 0;
   const take = (Type, length) => {
     const part = new Type(buffer, offset, length);
@@ -17,13 +17,13 @@ function splatsOf({ count, bases, channels, entries, level }, buffer) {
     return part;
   };
   const chunks = Math.ceil(count / 256);
-  const bounds = take(Float32Array, 6 * chunks), scaleBook = take(Float32Array, 256);
+  const bounds = take(Float32Array, 6 * chunks);
   const colorBook = channels === 3 ? take(Float32Array, 256) : null;
   const harmonicBook = bases ? take(Float32Array, 256) : null;
-  const positions = take(Uint16Array, 3 * count);
+  const positions = take(Uint16Array, 3 * count), scales = take(Uint16Array, 3 * count), opacities = take(Uint16Array, count);
   const levels = channels === 1 ? take(Uint16Array, count) : null;
   const labels = channels === 3 && bases ? take(Uint16Array, count) : null;
-  const scales = take(Uint8Array, 3 * count), quats = take(Uint8Array, 4 * count), opacities = take(Uint8Array, count);
+  const quats = take(Uint8Array, 4 * count);
   const colors = channels === 3 ? take(Uint8Array, 3 * count) : null;
   const indices = take(Uint8Array, entries * bases * channels);
 
@@ -35,7 +35,7 @@ function splatsOf({ count, bases, channels, entries, level }, buffer) {
       const low = bounds[chunk + k], high = bounds[chunk + 3 + k];
       means[4 * i + k] = low + ((high - low) * positions[k * count + i]) / 65535;
     }
-    means[4 * i + 3] = opacities[i] / 255;
+    means[4 * i + 3] = opacities[i] / 4095;
     const largest = quats[3 * count + i];
     let rest = 1, from = 0;
     for (let k = 0; k < 4; k++) {
@@ -45,8 +45,7 @@ function splatsOf({ count, bases, channels, entries, level }, buffer) {
     }
     q[largest] = Math.sqrt(Math.max(rest, 0));
     const [w, x, y, z] = q;
-    const a = Math.exp(2 * scaleBook[scales[i]]), b = Math.exp(2 * scaleBook[scales[count + i]]);
-    const c = Math.exp(2 * scaleBook[scales[2 * count + i]]);
+    const [a, b, c] = [0, 1, 2].map((k) => Math.exp(2 * (smallest + scales[k * count + i] / 128)));
     const r = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
       2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
       2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)];
