@@ -45,4 +45,7 @@ def test_both_languages_are_complete() -> None:
         assert english
         assert german
         assert english.count("{}") == german.count("{}")
+    said = "23.41 ± 0.2 °C (recalculated) (20.10 to 30.00, std 1.20)"
+    assert Words("en").told(said) == said
+    assert Words("de").told(said) == "23,41 ± 0,2 °C (umgerechnet) (20,10 bis 30,00, Std.-Abw. 1,20)"
     assert Words("de").number(18.6, 1, sign=True) == "+18,6"

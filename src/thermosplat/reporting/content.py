@@ -118,10 +118,10 @@ def _first_page(report: Report) -> Iterator[Block]:
         (words.field("date"), report.given(form.get("date", ""))),
         (words["made"], report.date),
         (words.field("instrument"), report.given(form.get("instrument", ""))),
-        (words["images"], ", ".join(f"{_images(capture, name)} {label(name)}" for name in capture.spectra)),
-        (words["spectrum"], label(report.spectrum)),
+        (words["images"], ", ".join(f"{_images(capture, name)} {words.told(label(name))}" for name in capture.spectra)),
+        (words["spectrum"], words.told(label(report.spectrum))),
         (words["unit"], unit),
-        (words["scale"], f"{report.metres:.4g}" if report.metres else words["unknown_scale"]),
+        (words["scale"], words.formatted(report.metres, ".4g") if report.metres else words["unknown_scale"]),
     ]
     if geo is not None:
         rows.append((words["position"], f"{geo.latitude:.6f}°, {geo.longitude:.6f}°, UTM {geo.zone} (EPSG:{geo.epsg})"))
@@ -149,7 +149,7 @@ def _plan(report: Report) -> Iterator[Block]:
     unit = "m" if is_metric else words["world_units"]
     yield Heading(words["plan"], new_page=True)
     caption = words["plan_local" if frame.crs is None else "plan_north"]
-    yield Picture(picture, f"{caption} {step:.3g} {unit}", 0.75)
+    yield Picture(picture, f"{caption} {words.formatted(step, '.3g')} {unit}", 0.75)
 
 
 def _findings(report: Report) -> Iterator[Block]:
@@ -175,7 +175,7 @@ def _finding(report: Report, number: int, one: Finding, entry: Entry) -> Iterato
     words, frame = report.words, one.seen.frame
     title = f"{words['finding']} {number}"
     yield Heading(f"{title}: {entry.title}" if entry.title else title, 3, new_page=number > 1)
-    names = " | ".join(label(name) for name in _shown_spectra(report))
+    names = " | ".join(words.told(label(name)) for name in _shown_spectra(report))
     yield Picture(in_all_spectra(report.measurer, one, report.spectrum), f"{frame.name}: {names}")
     mean = report.value(one.mean)
     if one.uncertainty is not None:
@@ -213,7 +213,11 @@ def _measurements(report: Report) -> Iterator[Block]:
         yield Paragraph(words["no_measurements"])
         return
     rows: list[tuple[str, ...]] = [
-        (one.name, one.definition.shape, label(one.definition.spectrum), one.text, one.extent_text(report.metres))
+        (
+            one.name,
+            *map(words.told, (one.definition.shape, label(one.definition.spectrum), one.text)),
+            words.told(one.extent_text(report.metres)),
+        )
         for one in pages.measurements
     ]
     for first, second in pages.differences:
@@ -230,7 +234,7 @@ def _photovoltaics(report: Report) -> Iterator[Block]:
         return
     yield Heading(words["pv"], new_page=True)
     yield Paragraph(words["pv_source"])
-    yield Facts([(words["irradiance"], f"{irradiance:g} W/m²")])
+    yield Facts([(words["irradiance"], f"{words.formatted(irradiance, 'g')} W/m²")])
     if not report.in_degrees:
         yield Paragraph(words["pv_no_degrees"], stands_out=True)
         return
@@ -259,7 +263,7 @@ def _delta(report: Report) -> str:
 
 def _corrections(report: Report) -> str:
     made = report.measurer.temperatures
-    return made.text if made.recalculates(report.spectrum) else report.words["no_corrections"]
+    return report.words.told(made.text) if made.recalculates(report.spectrum) else report.words["no_corrections"]
 
 
 def _area(report: Report, one: Finding) -> str:

@@ -1,5 +1,6 @@
 """The words of a report, in English and German."""
 
+import re
 from collections.abc import Iterable
 from typing import Literal
 
@@ -130,6 +131,16 @@ _TEXTS = {
     ),
 }
 
+_WORDS = {
+    **{"recalculated": "umgerechnet", "emissivity": "Emissionsgrad", "reflected": "reflektiert", "air": "Luft"},
+    **{"humidity": "Luftfeuchte", "window": "Fenster", "world units": "Welteinheiten", "std": "Std.-Abw.", "to": "bis"},
+    **{"spot": "Punkt", "line": "Linie", "rectangle": "Rechteck", "ellipse": "Ellipse", "polygon": "Polygon"},
+    **{"thermal": "Thermisch", "red edge": "Red Edge"},
+}
+"""What other rooms say of settings, shapes, measurements and spectra."""
+_ENGLISH = re.compile(r"\b(" + "|".join(map(re.escape, _WORDS)) + r")\b")
+_POINT = re.compile(r"(?<=\d)\.(?=\d)")
+
 _DOUBTS = {
     FEW_VIEWS: "weniger als drei Aufnahmen zeigen es",
     GRAZING: "nur streifend gesehen",
@@ -161,6 +172,10 @@ class Words:
     def doubt(self, bit: int) -> str:
         """Why a value should not be read: a bit of ``DOUBTS``."""
         return (DOUBTS, _DOUBTS)[self._column][bit]
+
+    def told(self, text: str) -> str:
+        """What another room says in English."""
+        return text if self.language == "en" else _POINT.sub(",", _ENGLISH.sub(lambda word: _WORDS[word[1]], text))
 
     def number(self, value: float, decimals: int, *, sign: bool = False) -> str:
         """A number with the language's decimal sign."""
