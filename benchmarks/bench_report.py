@@ -67,7 +67,7 @@ def _share_on(points: Array, others: Array) -> float:
 
 
 def to_truth(capture: Capture, spectrum: str, truth: dict[str, Any]) -> Any:
-    """What takes points of the world to those of truth.json: the similarity that lays the cameras onto the true ones."""
+    """What takes points of the world to those of truth.json: a similarity that lays cameras onto the true ones."""
     rig = np.array(truth["thermal_to_visible"])
     known = {Path(name).stem[:-2]: np.array(pose) @ rig for name, pose in truth["camera_to_world"].items()}
     ours, theirs = [], []

@@ -48,9 +48,7 @@ class Tab:
         self.page.wait_for_selector("html[data-ready='1']", timeout=120_000)
 
     def look(self) -> None:
-        self.page.evaluate(
-            "(a) => thermosplat.look(...a)", [VIEWMAT, list(FOCAL), list(MIDDLE), [WIDTH, HEIGHT]]
-        )
+        self.page.evaluate("(a) => thermosplat.look(...a)", [VIEWMAT, list(FOCAL), list(MIDDLE), [WIDTH, HEIGHT]])
 
     def blended(self, layer: str) -> np.ndarray:
         self.look()
@@ -130,7 +128,7 @@ def test_measuring(browser: Any, file: Path, tmp_path: Path) -> None:
     with page.expect_download() as table:
         page.locator("#csv").click()
     table.value.save_as(tmp_path / "table.csv")
-    assert "\"'=cmd <b>look</b>\"" in (tmp_path / "table.csv").read_text()
+    assert '"\'=cmd <b>look</b>"' in (tmp_path / "table.csv").read_text()
     with page.expect_download() as saved:
         page.locator("#save").click()
     saved.value.save_as(tmp_path / "saved.html")
@@ -163,7 +161,7 @@ def test_wipe_blend_range_and_isotherm(browser: Any, file: Path) -> None:
 
 
 def test_fingers_and_keys_move(browser: Any, file: Path) -> None:
-    """A tap reads, a drag turns about what is looked at, and in flight it turns the head; the panel folds on a phone."""
+    """A tap reads, a drag turns about what is looked at, a key flies; the panel folds on a phone."""
     tab = Tab(browser, file, **PHONE)
     assert not tab.page.locator("#controls").is_visible()
     tab.page.touchscreen.tap(195, 300)

@@ -111,5 +111,7 @@ def _marks(
         if points:
             shape = one.definition.shape
             text = ", ".join(filter(None, (one.extent_text(metres), one.text)))
-            marks.append({"kind": "area" if shape in AREAS else shape, "name": one.name, "text": text, "points": points})
+            marks.append(
+                {"kind": "area" if shape in AREAS else shape, "name": one.name, "text": text, "points": points}
+            )
     return marks, metres

@@ -49,8 +49,9 @@ def packed(splats: Splats, channels: int) -> tuple[dict[str, Any], bytes]:
     scales = np.minimum(np.rint((shown.log_scales - smallest) * SCALE_STEPS), 65535)
     largest, others = smallest_three(shown.quats)
     quats = np.concatenate([np.rint((0.5 + others * np.sqrt(0.5)) * 255.0), largest[:, None]], axis=1)
-    books, narrow = [bounds], [quats.T]
-    wide = [positions.T, scales.T, np.rint(shown.opacities * OPACITY_STEPS)]
+    books: list[NDArray[np.generic]] = [bounds]
+    narrow: list[NDArray[np.generic]] = [quats.T]
+    wide: list[NDArray[np.generic]] = [positions.T, scales.T, np.rint(shown.opacities * OPACITY_STEPS)]
     described: dict[str, Any] = {"count": count, "bases": bases, "channels": channels, "entries": 0}
     described["smallest"] = smallest
     if channels == 1:

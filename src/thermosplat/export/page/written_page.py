@@ -91,9 +91,9 @@ def page_of(scene: PageScene, layers: Sequence[PageLayer], palette: Palette) -> 
     known = {name: getattr(scene, name) for name in ("title", "views", "start", "up", "focus", "spacing", "origin")}
     known |= {"metres": scene.metres, "layers": described}
     known["palettes"] = [{"name": name, "colors": _levels(one)} for name, one in palettes]
-    hashes = [f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in (script, style)]
+    allowed = f"script-src {_hash(script)}; style-src {_hash(style)}; base-uri 'none'; form-action 'none'"
     words = {
-        "POLICY": f"default-src 'none'; script-src {hashes[0]}; style-src {hashes[1]}; base-uri 'none'; form-action 'none'",
+        "POLICY": f"default-src 'none'; {allowed}",
         "TITLE": html.escape(printable(scene.title)),
         "STYLE": style,
         "SCENE": _json(known),
@@ -103,6 +103,10 @@ def page_of(scene: PageScene, layers: Sequence[PageLayer], palette: Palette) -> 
     }
     text = room.joinpath("page.html").read_text("utf-8")
     return re.sub("@([A-Z]+)@", lambda found: words[found[1]], text)
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _levels(palette: Palette) -> str:
