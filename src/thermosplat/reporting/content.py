@@ -70,7 +70,7 @@ class Report:
 
 def blocks_of(report: Report) -> list[Block]:
     """The report from its first page to its last."""
-    parts = (_first_page, _plan, _findings, _measurements, _photovoltaics, _form)
+    parts = (_first_page, _plan, _findings, _things, _measurements, _photovoltaics, _form)
     return [block for part in parts for block in part(report)]
 
 
@@ -158,17 +158,31 @@ def _findings(report: Report) -> Iterator[Block]:
     if not report.findings:
         yield Paragraph(words["no_findings"])
         return
-    head = ["", words["severity"], words["maximum"], words["mean"], _delta(report), words["area"]]
+    extreme = words["minimum" if report.colder else "maximum"]
+    head = ["", words["severity"], extreme, words["mean"], _delta(report), words["area"]]
     rows = []
     for number, (one, entry) in enumerate(report.findings, 1):
-        extreme = one.minimum if report.colder else one.maximum
-        name = f"{number} {entry.title}".strip()
-        cells = (report.value(extreme), report.value(one.mean), report.step(one.difference), _area(report, one))
-        rows.append((name, report.given(entry.severity), *cells))
-    head[2] = words["minimum" if report.colder else "maximum"]
+        rows.append((f"{number} {entry.title}".strip(), report.given(entry.severity), *_numbers(report, one)))
     yield Table(head, rows)
     for number, (one, entry) in enumerate(report.findings, 1):
         yield from _finding(report, number, one, entry)
+
+
+def _things(report: Report) -> Iterator[Block]:
+    words, things = report.words, report.found.things
+    if not things:
+        return
+    yield Heading(words["things"], new_page=True)
+    yield Paragraph(words["about_things"])
+    extreme = words["minimum" if report.colder else "maximum"]
+    rows = [(words.place(one.region.place, 2), *_numbers(report, one)) for one in things]
+    yield Table([words["place"], extreme, words["mean"], _delta(report), words["area"]], rows)
+
+
+def _numbers(report: Report, one: Finding) -> tuple[str, ...]:
+    """The extreme, mean, difference and area of a finding."""
+    extreme = one.minimum if report.colder else one.maximum
+    return report.value(extreme), report.value(one.mean), report.step(one.difference), _area(report, one)
 
 
 def _finding(report: Report, number: int, one: Finding, entry: Entry) -> Iterator[Block]:

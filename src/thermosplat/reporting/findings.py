@@ -1,12 +1,14 @@
 """Findings: parts of a scene that are warmer, or colder, than a reference.
 
 The reference of a pixel is the median of its surroundings in the same picture, or the mean of a measured area. What
-lies beyond it by more than a limit becomes regions of the scene (``thermography.hot_regions``). The numbers of a
-finding are those of the view that sees the most of it. Where most of its pixels must not be read there, as glass and
-chrome, it is none.
+lies beyond it by more than a limit becomes regions of the scene (``thermography.hot_regions``). What stands out of such
+a region by as much, as a hot cell does of its warm module, becomes a region of its own. The numbers of a finding are
+those of the view that sees the most of it. Where most of its pixels must not be read there, as glass and chrome, it is
+none. What has the outline of a thing in the photograph is listed as a warm thing, not as a finding: of a car or a
+chimney the difference to other materials around it tells nothing (``reporting.outlines``).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
+from thermosplat.reporting.outlines import Outlines, photographed
 from thermosplat.thermography.hot_regions import Region, find_regions
 from thermosplat.viewer.layers import Layer
 from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
@@ -29,6 +32,14 @@ _TIMES_USUAL = 4.0
 """Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
 LEAST_DEGREES = 1.0
 """[K]; the least limit that is chosen where nobody gives one."""
+_WIDTH = 400
+"""Of the pictures that are searched [px]: half a flight's thermal image, in which a cell of a module has some pixels."""
+_FEWEST_PIXELS, _FEWEST_VIEWS = 9, 3
+"""Of a finding: 3x3 pixels, the least that a radiometric camera measures, and views that agree."""
+_ALIKE, _NEIGHBOURS = 1.4, 4
+"""Times that the differences of parts of one pattern differ, and cells that lie between them."""
+_MOST_OF = 0.5
+"""Share of a region that a region in it takes, from which on both are one."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -67,6 +78,8 @@ class Found:
 
     findings: tuple[Finding, ...]
     """The farthest from the reference first."""
+    things: tuple[Finding, ...]
+    """The same of what has the outline of a thing in the photograph."""
     limit: float
     """Least distance from the reference."""
     not_read: int
@@ -97,7 +110,7 @@ def find(
     Raises:
         UserError: There are no photographs to search by.
     """
-    views = list(measurer.searched(spectrum))
+    views = list(measurer.searched(spectrum, _WIDTH))
     references = [surroundings(view) if reference is None else np.full_like(view.values, reference) for view in views]
     sign = -1.0 if colder else 1.0
     beyond = [sign * (view.values - around) for view, around in zip(views, references)]
@@ -106,23 +119,124 @@ def find(
         usual = float(np.median(apart)) if len(apart) else 0.0
         limit = max(_TIMES_USUAL * 1.4826 * usual, least, 1e-6)
     masks = [view.there & (far > limit) for view, far in zip(views, beyond)]
-    hot = [view.hot(mask) for view, mask in zip(views, masks)]
-    cell = grid_cell([view.distance for view in views])
-    regions = find_regions(hot, cell, colder=colder)
-    findings, not_read = [], 0
-    known: dict[int, Sure | None] = {}
-    for region in regions:
-        best = region.best_view
-        pixels = masks[best] & _inside(views[best].points, region, cell)
-        if best not in known:  # it takes a while, and many regions share a view
-            known[best] = measurer.renderer.how_sure(Layer("image", spectrum), views[best].view)
-        sure = known[best]
-        if not pixels.any() or must_not_be_read(sure, pixels):
-            not_read += 1
-            continue
-        findings.append(_finding(region, views[best], pixels, references[best], sure))
-    findings.sort(key=lambda one: sign * one.difference, reverse=True)
-    return Found(tuple(findings[:MOST_FINDINGS]), limit, not_read, max(0, len(findings) - MOST_FINDINGS))
+    own = [_of_parts(view, mask) for view, mask in zip(views, masks)]
+    inner = [mask & (sign * (view.values - around) > limit) for view, mask, around in zip(views, masks, own)]
+    search = _Search(measurer, spectrum, views, colder)
+    for around, some in ((own, inner), (references, masks)) if reference is None else ((references, masks),):
+        search.add(some, around)
+    found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
+    things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
+    more = max(0, len(found) - MOST_FINDINGS)
+    return Found(tuple(found[:MOST_FINDINGS]), tuple(things[:MOST_FINDINGS]), limit, search.not_read, more)
+
+
+class _Search:
+    """Regions become findings or things, the first ones before those that hold them.
+
+    Args:
+        measurer: Of the scene.
+        spectrum: Where.
+        views: Of the capture.
+        colder: Whether they are below the reference.
+    """
+
+    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], colder: bool) -> None:
+        self._measurer, self._spectrum, self._views, self._colder = measurer, spectrum, views, colder
+        self._known: dict[int, Sure | None] = {}
+        self._outlines: dict[int, Outlines | None] = {}
+        self.findings: list[Finding] = []
+        self.things: list[Finding] = []
+        self.not_read = 0
+
+    def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
+        """Find regions.
+
+        Args:
+            masks: Pixels beyond the limit, of each view.
+            references: From what.
+        """
+        cell = grid_cell(self._views)
+        hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
+        known, fresh = list(self.findings), []
+        for region in find_regions(hot, cell, colder=self._colder):
+            best = region.best_view
+            view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
+            inside = [
+                one for one in known if (np.abs(np.subtract(one.region.place, region.place)) <= region.size).all()
+            ]
+            if (
+                region.pixels < _FEWEST_PIXELS
+                or region.views < _FEWEST_VIEWS
+                or any(_holds(one.region, region) for one in inside)
+            ):
+                continue
+            sure = self._sure(best)
+            if not pixels.any() or must_not_be_read(sure, pixels):
+                self.not_read += 1
+                continue
+            finding = _finding(region, view, pixels, references[best], sure)
+            outlines = self._outlines_of(best)
+            (self.things if outlines is not None and outlines.show(pixels) else fresh).append(finding)
+        self.findings += _patterns(fresh, _NEIGHBOURS * cell)
+
+    def _sure(self, index: int) -> Sure | None:
+        if index not in self._known:  # it takes a while, and many regions share a view
+            layer = Layer("image", self._spectrum)
+            self._known[index] = self._measurer.renderer.how_sure(layer, self._views[index].view)
+        return self._known[index]
+
+    def _outlines_of(self, index: int) -> Outlines | None:
+        if index not in self._outlines:
+            self._outlines[index] = photographed(self._measurer.scene, self._views[index].view)
+        return self._outlines[index]
+
+
+def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
+    """Findings of which neighbours that are alike are one: heat between rafters and loops of pipes come in many parts.
+
+    Args:
+        findings: In any order.
+        gap: Distance of boxes up to which they are neighbours [world units].
+    """
+    group = list(range(len(findings)))
+    for i, one in enumerate(findings):
+        for j, other in enumerate(findings[:i]):
+            apart = np.abs(np.subtract(one.region.place, other.region.place))
+            sizes = (np.array(one.region.size) + other.region.size) / 2
+            alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
+            if alike and (apart - sizes <= gap).all():
+                group = [group[i] if number == group[j] else number for number in group]
+    return [_joined([one for one, of in zip(findings, group) if of == number]) for number in dict.fromkeys(group)]
+
+
+def _joined(parts: list[Finding]) -> Finding:
+    """Parts of a pattern as one finding, with the numbers of the largest: its place and extent are those of them all."""
+    largest = max(parts, key=lambda one: one.region.area)
+    if len(parts) == 1:
+        return largest
+    low, high = (
+        np.array([np.add(one.region.place, sign * np.array(one.region.size) / 2) for one in parts]) for sign in (-1, 1)
+    )
+    ends = low.min(axis=0), high.max(axis=0)
+    middle, size = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
+    place, sides = ((float(v[0]), float(v[1]), float(v[2])) for v in (middle, size))
+    area = sum(one.region.area if one.area is None else one.area for one in parts)
+    return replace(largest, region=replace(largest.region, place=place, size=sides), area=area)
+
+
+def _holds(one: Region, other: Region) -> bool:
+    """Whether a region is most of another one that holds it."""
+    return one.area >= _MOST_OF * other.area
+
+
+def _of_parts(seen: SearchedView, mask: NDArray[np.bool_]) -> Array:
+    """The median of each part of a mask, in all of its pixels, [H, W]."""
+    of_each = np.array(seen.values)
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    for part in range(1, count):
+        mine = parts == part
+        of_each[mine] = np.median(seen.values[mine])
+    return of_each
 
 
 def surroundings(seen: SearchedView) -> Array:

@@ -73,6 +73,13 @@ _TEXTS = {
     "findings": ("Findings", "Befunde"),
     "finding": ("Finding", "Befund"),
     "no_findings": ("Nothing lies beyond the limit.", "Nichts liegt jenseits der Grenze."),
+    "things": ("Things that are seen in the photograph too", "Dinge, die auch im Foto zu sehen sind"),
+    "about_things": (
+        "They differ as much from what is around them, but have an outline in the photograph: another material, "
+        "warmed by the sun or by its use. Compare each with its like.",
+        "Sie weichen ebenso von ihrer Umgebung ab, haben aber einen Umriss im Foto: ein anderes Material, erwärmt von "
+        "der Sonne oder vom Gebrauch. Vergleichen Sie jedes mit seinesgleichen.",
+    ),
     "not_read": (
         "Regions that are not reported, as values there must not be read (glass, bare metal, seen too little)",
         "Bereiche ohne Befund, da Werte dort nicht abgelesen werden dürfen (Glas, blankes Metall, zu wenig gesehen)",

@@ -27,10 +27,10 @@ from thermosplat.thermography.reprojection import resized, scene_points
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer, available_layers
 
-_REGION_WIDTH = 200
+REGION_WIDTH = 200
 """Width [px] at which views are searched for regions."""
-_CELLS = 128
-"""Of the grid along the scene's depth: neighbouring pixels of such a view lie in neighbouring cells."""
+_PIXELS = 2
+"""Of such a view that a cell of the grid is wide: neighbouring ones lie in neighbouring cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +64,9 @@ class SearchedView:
         return HotPixels(self.points[beyond], self.values[beyond], areas)
 
 
-def grid_cell(distances: Sequence[float]) -> float:
-    """Side of the cells that connect regions [world units], for views whose median depths are such."""
-    return max(float(np.median(distances)) / _CELLS * 2, 1e-9)
+def grid_cell(views: Sequence[SearchedView]) -> float:
+    """Side of the cells that connect regions of views [world units]."""
+    return max(_PIXELS * float(np.median([view.distance / float(view.view.K[0, 0]) for view in views])), 1e-9)
 
 
 class Measurer:
@@ -150,21 +150,18 @@ class Measurer:
         Raises:
             UserError: There are no photographs to search by.
         """
-        found, depths, frames = [], [], []
-        for one in self.searched(spectrum):
-            beyond = (one.values < threshold if colder else one.values > threshold) & one.there
-            found.append(one.hot(beyond))
-            depths.append(one.distance)
-            frames.append(one.frame.name)
-        regions = find_regions(found, grid_cell(depths), colder=colder)
-        return [(region, frames[region.best_view]) for region in regions]
+        views = list(self.searched(spectrum))
+        found = [one.hot((one.values < threshold if colder else one.values > threshold) & one.there) for one in views]
+        regions = find_regions(found, grid_cell(views), colder=colder)
+        return [(region, views[region.best_view].frame.name) for region in regions]
 
     @torch.no_grad()
-    def searched(self, spectrum: str) -> Iterator["SearchedView"]:
+    def searched(self, spectrum: str, width: int = REGION_WIDTH) -> Iterator["SearchedView"]:
         """The views of the capture, rendered as small as regions are looked for in them.
 
         Args:
             spectrum: Which is looked at.
+            width: Of the pictures [px]; those of the capture are not enlarged.
 
         Raises:
             UserError: There are no photographs to search by.
@@ -177,7 +174,7 @@ class Measurer:
         layer, model = Layer("image", spectrum), self.scene.model
         for frame in frames:
             taken = without_pixels(frame.views[spectrum], self.scene.device).as_pinhole()
-            factor = min(1.0, _REGION_WIDTH / taken.width)
+            factor = min(1.0, width / taken.width)
             view = resized(taken, max(1, round(factor * taken.width)), max(1, round(factor * taken.height)))
             field = self.renderer.render([layer], view, temperatures=self.temperatures)[layer].field
             depth = model.render_depth(spectrum, view)
