@@ -6,10 +6,14 @@ import shutil
 from importlib.resources import files
 from pathlib import Path
 
+import pytest
+
 from sample_runs import QUICK, Run
 from thermosplat.cli import report, train
+from thermosplat.reporting.findings_file import read_findings
 
 
+@pytest.mark.slow
 def test_report_of_a_run(run: Run, finished: Path, tmp_path: Path) -> None:
     """First page, findings, form; what report.yaml says is in the next report, and stays as it is."""
     folder = tmp_path / "a <b> run"
@@ -26,6 +30,9 @@ def test_report_of_a_run(run: Run, finished: Path, tmp_path: Path) -> None:
     pdf = (folder / "report" / "report.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
     assert len(re.findall(rb"/Type /Page\b", pdf)) > page.count('class="new-page"')  # a long table goes on
+    listed = json.loads((folder / "report" / "findings.json").read_text())["findings"]
+    assert len(listed) == page.count("<h3")
+    assert [one.place for one in read_findings(folder)] == [tuple(one["place"]) for one in listed]
     said = folder / "report.yaml"
     text = said.read_text().replace('client: ""', 'client: "Müller <b>& Co</b>"  # mine')
     text = text.replace('irradiance: ""', "irradiance: 860")
@@ -35,11 +42,15 @@ def test_report_of_a_run(run: Run, finished: Path, tmp_path: Path) -> None:
     page = (folder / "report" / "report.html").read_text()
     assert "Müller &lt;b&gt;&amp; Co&lt;/b&gt;" in page
     assert "Thermografiebericht" in page
+    assert not re.search(
+        r"\b(recalculated|thermal|world units|spot)\b", re.sub("<[^>]*>", " ", page).split("Ordner")[0]
+    )
     assert "Nichts liegt jenseits der Grenze." in page
     assert "1000 W/m²" in page
     assert said.read_text() == text
 
 
+@pytest.mark.slow
 def test_report_without_degrees(run: Run, tmp_path: Path) -> None:
     """Intensities, said on the first page; nothing is in kelvin."""
     capture, folder = tmp_path / "capture", tmp_path / "run"

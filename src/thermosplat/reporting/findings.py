@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.reporting.outlines import Outlines, photographed
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
-from thermosplat.reporting.outlines import Outlines, photographed
 from thermosplat.thermography.hot_regions import Region, find_regions
 from thermosplat.viewer.layers import Layer
 from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
@@ -33,10 +33,10 @@ _TIMES_USUAL = 4.0
 LEAST_DEGREES = 1.0
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
-"""Of the pictures that are searched [px]: half a flight's thermal image, in which a cell of a module has some pixels."""
+"""Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
 _FEWEST_PIXELS, _FEWEST_VIEWS = 9, 3
 """Of a finding: 3x3 pixels, the least that a radiometric camera measures, and views that agree."""
-_ALIKE, _NEIGHBOURS = 1.4, 4
+_ALIKE, _NEIGHBOURS = 1.4, 10
 """Times that the differences of parts of one pattern differ, and cells that lie between them."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
@@ -210,7 +210,7 @@ def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
 
 
 def _joined(parts: list[Finding]) -> Finding:
-    """Parts of a pattern as one finding, with the numbers of the largest: its place and extent are those of them all."""
+    """Parts of a pattern as one finding, with the numbers of the largest; place and extent are those of them all."""
     largest = max(parts, key=lambda one: one.region.area)
     if len(parts) == 1:
         return largest
