@@ -17,6 +17,7 @@ COMMANDS = {
     "view": "thermosplat.cli.view",
     "export": "thermosplat.cli.export",
     "measure": "thermosplat.cli.measure",
+    "report": "thermosplat.cli.report",
     "benchmark": "thermosplat.cli.benchmark",
 }
 """Module of each command, whose ``main`` takes the other words."""

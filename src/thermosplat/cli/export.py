@@ -55,6 +55,8 @@ def _export(arguments: ExportArguments) -> int:
             from thermosplat.cli.exporting.map import export_map as export
         elif arguments.format in ("points", "las", "mesh"):
             from thermosplat.cli.exporting.surface import export_surface as export
+        elif arguments.format == "html":
+            from thermosplat.cli.exporting.page import export_page as export
         else:
             from thermosplat.cli.exporting.splats import export_splats as export
 

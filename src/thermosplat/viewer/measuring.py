@@ -6,14 +6,16 @@ pages, definitions = read_book(Path("results/shed/measurements.json"))
 measured = Measurer(LayerRenderer(scene)).again(pages, definitions)
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from thermosplat.config.temperature_settings import TemperatureSettings
+from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, without_pixels
 from thermosplat.errors import UserError
 from thermosplat.spectra import CELSIUS
@@ -25,10 +27,46 @@ from thermosplat.thermography.reprojection import resized, scene_points
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer, available_layers
 
-_REGION_WIDTH = 200
+REGION_WIDTH = 200
 """Width [px] at which views are searched for regions."""
-_CELLS = 128
-"""Of the grid along the scene's depth: neighbouring pixels of such a view lie in neighbouring cells."""
+_PIXELS = 2
+"""Of such a view that a cell of the grid is wide: neighbouring ones lie in neighbouring cells."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedView:
+    """A view of the capture in which regions are looked for."""
+
+    frame: Frame
+    """Whose view it is."""
+    view: ViewTensors
+    """As it was rendered."""
+    values: NDArray[np.float64]
+    """[H, W], in the unit of the spectrum."""
+    depth: NDArray[np.float64]
+    """z-depth [world units], [H, W]; 0 where nothing is."""
+    points: NDArray[np.float64]
+    """What its pixels see, in the world, [H, W, 3]."""
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """Where something with a value is, [H, W]."""
+        return (self.depth > 0) & np.isfinite(self.values)
+
+    @property
+    def distance(self) -> float:
+        """Median depth [world units]; 0 where nothing is."""
+        return float(np.median(self.depth[self.depth > 0])) if (self.depth > 0).any() else 0.0
+
+    def hot(self, beyond: NDArray[np.bool_]) -> HotPixels:
+        """Some of its pixels [H, W] as regions are made of them."""
+        areas = self.depth[beyond] ** 2 / float(self.view.K[0, 0] * self.view.K[1, 1])
+        return HotPixels(self.points[beyond], self.values[beyond], areas)
+
+
+def grid_cell(views: Sequence[SearchedView]) -> float:
+    """Side of the cells that connect regions of views [world units]."""
+    return max(_PIXELS * float(np.median([view.distance / float(view.view.K[0, 0]) for view in views])), 1e-9)
 
 
 class Measurer:
@@ -102,31 +140,51 @@ class Measurer:
         Raises:
             UserError: There are no photographs to search by.
         """
+        views = list(self.searched(spectrum))
+        found = [one.hot((one.values < threshold if colder else one.values > threshold) & one.there) for one in views]
+        regions = find_regions(found, grid_cell(views), colder=colder)
+        return [(region, views[region.best_view].frame.name) for region in regions]
+
+    @torch.no_grad()
+    def searched(self, spectrum: str, width: int = REGION_WIDTH) -> Iterator["SearchedView"]:
+        """The views of the capture, rendered as small as regions are looked for in them.
+
+        Args:
+            spectrum: Which is looked at.
+            width: Of the pictures [px]; those of the capture are not enlarged.
+
+        Raises:
+            UserError: There are no photographs to search by.
+        """
         frames = [frame for frame in self.scene.frames if spectrum in frame.views]
         if not frames:
             raise UserError(
                 "Regions are looked for in the views of the capture, which is not at hand.", "--data FOLDER says where."
             )
         layer, model = Layer("image", spectrum), self.scene.model
-        found, depths = [], []
         for frame in frames:
             taken = without_pixels(frame.views[spectrum], self.scene.device).as_pinhole()
-            factor = min(1.0, _REGION_WIDTH / taken.width)
+            factor = min(1.0, width / taken.width)
             view = resized(taken, max(1, round(factor * taken.width)), max(1, round(factor * taken.height)))
             field = self.renderer.render([layer], view, temperatures=self.temperatures)[layer].field
             depth = model.render_depth(spectrum, view)
-            assert field is not None  # noqa: S101  of a spectrum that measures something
-            there = (depth > 0).cpu().numpy()
-            beyond = (field < threshold if colder else field > threshold) & there
-            depths.append(np.median(depth[depth > 0].cpu().numpy()) if there.any() else 0.0)
-            z = depth.cpu().numpy().astype(np.float64)[beyond] * model.placement.unit
-            places = model.placement.to_world(scene_points(view, depth).cpu().numpy()[beyond])
-            areas = z**2 / float(view.K[0, 0] * view.K[1, 1])
-            found.append(HotPixels(places, field[beyond].astype(np.float64), areas))
-        cell = float(np.median(depths)) * model.placement.unit / _CELLS * 2
-        return [
-            (region, frames[region.best_view].name) for region in find_regions(found, max(cell, 1e-9), colder=colder)
-        ]
+            assert field is not None  # noqa: S101  of a spectrum of values
+            z = depth.cpu().numpy().astype(np.float64) * model.placement.unit
+            points = model.placement.to_world(scene_points(view, depth).cpu().numpy())
+            yield SearchedView(frame, view, field.astype(np.float64), z, points)
+
+    def spectrum_of_values(self) -> str:
+        """The measured spectrum; where nothing is measured, the first that has intensities.
+
+        Raises:
+            UserError: There are colours alone.
+        """
+        scales = self.scene.scales
+        if all(scales[name].measured_unit is None for name in self.scene.model.spectra):
+            for name in self.scene.model.spectra:
+                if scales[name].kind != "photograph":
+                    return name
+        return self.measured_spectrum()
 
     def measured_spectrum(self) -> str:
         """The spectrum whose regions are looked for: the first with temperatures, else with values.

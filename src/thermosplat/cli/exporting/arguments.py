@@ -11,11 +11,14 @@ from thermosplat.config.temperature_settings import TemperatureSettings
 class ExportArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArguments):
     """Write a trained run for other programs, one file for each spectrum: splat_rgb.ply, splat_thermal.ply, ..."""
 
-    format: Literal["ply", "compressed-ply", "spz", "sog", "glb", "usd", "points", "las", "mesh", "orthomosaic"] = "ply"
+    format: Literal[
+        "ply", "compressed-ply", "spz", "sog", "glb", "usd", "points", "las", "mesh", "orthomosaic", "html"
+    ] = "ply"
     """Splats: PLY of the original 3D Gaussian Splatting; PlayCanvas's compressed PLY and SOG; Niantic's SPZ; glTF with
     KHR_gaussian_splatting; OpenUSD (needs usd-core). docs/exports.md says which program opens which. Surfaces
     from rendered depth with measured values: points and mesh as PLY (mesh needs scikit-image), points as LAS (needs
-    laspy). A map from above: orthomosaic, a GeoTIFF of colours or of measured values (needs rasterio)."""
+    laspy). A map from above: orthomosaic, a GeoTIFF of colours or of measured values (needs rasterio). html: one
+    page that shows and measures the scene in a browser, without a server."""
     output: str | None = None
     """Folder for the files. None: in the result folder, ply/ for PLY and exports/ for the others."""
     fit_passes: int | None = None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
     from thermosplat.evaluation.loaded_run import LoadedRun
     from thermosplat.export.export_frame import ExportFrame
-    from thermosplat.export.scene import SceneSplats
+    from thermosplat.export.scene import Colors, SceneSplats
     from thermosplat.novel_views.viewpoints import PathName
 
 
@@ -34,7 +34,7 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
     from thermosplat.export.scene import write_scene
 
     frame = ExportFrame(loaded.model.placement, loaded.geo)
-    scene, sources = _scene(arguments, loaded, frame)
+    scene, sources = fitted_scene(arguments, loaded, frame, colors=arguments.colors)
     if arguments.format == "ply":
         scalars = None
         if arguments.values:
@@ -86,15 +86,26 @@ def _values(arguments: "ExportArguments", loaded: "LoadedRun", measured: dict[st
     return values
 
 
-def _scene(
-    arguments: "ExportArguments", loaded: "LoadedRun", frame: "ExportFrame"
+def fitted_scene(
+    arguments: "ExportArguments", loaded: "LoadedRun", frame: "ExportFrame", *, colors: "Colors"
 ) -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
-    """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of."""
+    """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of.
+
+    Args:
+        arguments: The command's: spectra, passes of the fit.
+        loaded: The run.
+        frame: Where positions of files count from.
+        colors: What the splats show.
+
+    Raises:
+        UserError: There is no capture to fit to, or no such spectrum.
+    """
     from thermosplat.export.scene import scene_splats
 
     names = arguments.chosen(list(loaded.model.spectra))
-    if all(loaded.model.formations[name].exact_splats for name in names) or arguments.fit_passes == 0:
-        unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors, frame=frame)
+    exact = all(loaded.model.formations[name].exact_splats for name in names)
+    if (exact and not _becomes_values(loaded, names, colors)) or arguments.fit_passes == 0:
+        unfitted = scene_splats(loaded.model, loaded.scales, names, colors=colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.cli.exporting.fit_progress import shown_steps
     from thermosplat.export.scene import header_comments
@@ -123,12 +134,17 @@ def _scene(
             views.get("train", []),
             sh_degree=loaded.sh_degree,
             measured=views.get("test", []),
-            colors=arguments.colors,
+            colors=colors,
             passes=arguments.fit_passes,
             progress=partial(shown_steps, name=name),
         )
         print(f"{name}: {fit.after:.2f} dB from the exact render, {fit.before:.2f} dB before the fit")
         sources[name] = fit.sources
-        comments = header_comments(loaded.model, name, loaded.scales[name], frame, colors=arguments.colors)
+        comments = header_comments(loaded.model, name, loaded.scales[name], frame, colors=colors)
         scene[name] = (frame.splats(fit.splats), comments)
     return scene, sources
+
+
+def _becomes_values(loaded: "LoadedRun", names: list[str], colors: "Colors") -> bool:
+    """Whether pseudo-colours have to become the values that they stand for, which a fit alone does."""
+    return colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)

@@ -30,7 +30,7 @@ class Described:
     """For the header, where the format has room for text."""
 
 
-HELD_DEGREES: dict[SplatFormat, int] = {"compressed-ply": 3, "spz": 3, "sog": 3, "glb": 3}
+HELD_DEGREES = {"compressed-ply": 3, "spz": 3, "sog": 3, "glb": 3, "html": 3}
 """Highest degree of spherical harmonics that a format has room for, where there is a limit."""
 
 _WRITERS: dict[SplatFormat, tuple[str, Callable[[Path, Described], WrittenSplats]]] = {
@@ -57,11 +57,25 @@ def write_format(format: SplatFormat, folder: Path, scene: Described) -> Written
     Raises:
         UserError: The format cannot hold the scene, or what writes it is not installed.
     """
-    held, used = HELD_DEGREES.get(format), int((used_coefficients(scene.splats.shN) + 1) ** 0.5) - 1
-    if held is not None and used > held:
-        raise UserError(
-            f"{format} holds spherical harmonics up to degree {held}, the Gaussians of {scene.spectrum} use {used}.",
-            "Export with --format ply or usd, or train with --sh-degree 3.",
-        )
+    check_degree(format, scene.spectrum, scene.splats)
     suffix, write = _WRITERS[format]
     return write(folder / f"splat_{scene.spectrum}{suffix}", scene)
+
+
+def check_degree(format: str, spectrum: str, splats: Splats) -> None:
+    """Refuse harmonics that a format has no room for.
+
+    Args:
+        format: Its name.
+        spectrum: Whose splats these are.
+        splats: The Gaussians.
+
+    Raises:
+        UserError: They use more.
+    """
+    held, used = HELD_DEGREES.get(format), int((used_coefficients(splats.shN) + 1) ** 0.5) - 1
+    if held is not None and used > held:
+        raise UserError(
+            f"{format} holds spherical harmonics up to degree {held}, the Gaussians of {spectrum} use {used}.",
+            "Export with --format ply or usd, or train with --sh-degree 3.",
+        )

@@ -1,0 +1,1 @@
+"""A scene as one HTML page that shows and measures it: no server, no network."""

@@ -1,0 +1,313 @@
+"""Findings: parts of a scene that are warmer, or colder, than a reference.
+
+The reference of a pixel is the median of its surroundings in the same picture, or the mean of a measured area. What
+lies beyond it by more than a limit becomes regions of the scene (``thermography.hot_regions``). What stands out of such
+a region by as much, as a hot cell does of its warm module, becomes a region of its own. The numbers of a finding are
+those of the view that sees the most of it. Where most of its pixels must not be read there, as glass and chrome, it is
+none. What has the outline of a thing in the photograph is listed as a warm thing, not as a finding: of a car or a
+chimney the difference to other materials around it tells nothing (``reporting.outlines``).
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.reporting.outlines import Outlines, photographed
+from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
+from thermosplat.thermography.extents import area_of
+from thermosplat.thermography.hot_regions import Region, find_regions
+from thermosplat.viewer.layers import Layer
+from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
+
+Array = NDArray[np.float64]
+MOST_FINDINGS = 60
+"""Of a report, the farthest from the reference first."""
+_SURROUNDINGS = 1 / 3
+"""Side of a pixel's surroundings, as a share of the picture's shorter side: a finding fills less than half of it."""
+_LEVELS = 255
+"""That the values are sorted into for their median, which OpenCV finds in large windows of 8 bits alone."""
+_TIMES_USUAL = 4.0
+"""Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
+LEAST_DEGREES = 1.0
+"""[K]; the least limit that is chosen where nobody gives one."""
+_WIDTH = 400
+"""Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
+_FEWEST_PIXELS, _FEWEST_VIEWS = 9, 3
+"""Of a finding: 3x3 pixels, the least that a radiometric camera measures, and views that agree."""
+_ALIKE, _NEIGHBOURS = 1.4, 10
+"""Times that the differences of parts of one pattern differ, and cells that lie between them."""
+_MOST_OF = 0.5
+"""Share of a region that a region in it takes, from which on both are one."""
+_MOST_DOUBTED = 0.5
+"""Share of a finding's pixels that must not be read, from which on it is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """A part of the scene that is far from the reference, and its numbers in the view that sees the most of it."""
+
+    region: Region
+    """Place and extent in the world."""
+    seen: SearchedView
+    """The view."""
+    pixels: NDArray[np.bool_]
+    """Its pixels there, [H, W]."""
+    minimum: float
+    maximum: float
+    mean: float
+    reference: float
+    """Median of the pixels' references."""
+    uncertainty: float | None
+    """Half of the 95% interval of the mean; None: nobody knows."""
+    area: float | None
+    """Its surface [world units²]; None: too few pixels."""
+    doubts: tuple[int, ...]
+    """Why some of its pixels should not be read, bits of ``DOUBTS``."""
+
+    @property
+    def difference(self) -> float:
+        """Mean minus reference."""
+        return self.mean - self.reference
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search has found."""
+
+    findings: tuple[Finding, ...]
+    """The farthest from the reference first."""
+    things: tuple[Finding, ...]
+    """The same of what has the outline of a thing in the photograph."""
+    limit: float
+    """Least distance from the reference."""
+    not_read: int
+    """Regions that were left out, as they must not be read."""
+    more: int
+    """Regions beyond the most that a report lists."""
+
+
+def find(
+    measurer: Measurer,
+    spectrum: str,
+    *,
+    limit: float | None = None,
+    reference: float | None = None,
+    colder: bool = False,
+    least: float = 0.0,
+) -> Found:
+    """Look for findings in all views of the capture.
+
+    Args:
+        measurer: Of the scene.
+        spectrum: Where.
+        limit: Least distance from the reference, > 0; None: four times the usual one.
+        reference: The same for the whole scene; None: of each pixel the median of its surroundings.
+        colder: They are below the reference.
+        least: The least limit that is chosen where ``limit`` is None.
+
+    Raises:
+        UserError: There are no photographs to search by.
+    """
+    views = list(measurer.searched(spectrum, _WIDTH))
+    references = [surroundings(view) if reference is None else np.full_like(view.values, reference) for view in views]
+    sign = -1.0 if colder else 1.0
+    beyond = [sign * (view.values - around) for view, around in zip(views, references)]
+    if limit is None:
+        apart = np.concatenate([np.abs(far[view.there]) for view, far in zip(views, beyond)] or [np.zeros(0)])
+        usual = float(np.median(apart)) if len(apart) else 0.0
+        limit = max(_TIMES_USUAL * 1.4826 * usual, least, 1e-6)
+    masks = [view.there & (far > limit) for view, far in zip(views, beyond)]
+    own = [_of_parts(view, mask) for view, mask in zip(views, masks)]
+    inner = [mask & (sign * (view.values - around) > limit) for view, mask, around in zip(views, masks, own)]
+    search = _Search(measurer, spectrum, views, colder)
+    for around, some in ((own, inner), (references, masks)) if reference is None else ((references, masks),):
+        search.add(some, around)
+    found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
+    things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
+    more = max(0, len(found) - MOST_FINDINGS)
+    return Found(tuple(found[:MOST_FINDINGS]), tuple(things[:MOST_FINDINGS]), limit, search.not_read, more)
+
+
+class _Search:
+    """Regions become findings or things, the first ones before those that hold them.
+
+    Args:
+        measurer: Of the scene.
+        spectrum: Where.
+        views: Of the capture.
+        colder: Whether they are below the reference.
+    """
+
+    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], colder: bool) -> None:
+        self._measurer, self._spectrum, self._views, self._colder = measurer, spectrum, views, colder
+        self._known: dict[int, Sure | None] = {}
+        self._outlines: dict[int, Outlines | None] = {}
+        self.findings: list[Finding] = []
+        self.things: list[Finding] = []
+        self.not_read = 0
+
+    def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
+        """Find regions.
+
+        Args:
+            masks: Pixels beyond the limit, of each view.
+            references: From what.
+        """
+        cell = grid_cell(self._views)
+        hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
+        known, fresh = list(self.findings), []
+        for region in find_regions(hot, cell, colder=self._colder):
+            best = region.best_view
+            view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
+            inside = [
+                one for one in known if (np.abs(np.subtract(one.region.place, region.place)) <= region.size).all()
+            ]
+            if (
+                region.pixels < _FEWEST_PIXELS
+                or region.views < _FEWEST_VIEWS
+                or any(_holds(one.region, region) for one in inside)
+            ):
+                continue
+            sure = self._sure(best)
+            if not pixels.any() or must_not_be_read(sure, pixels):
+                self.not_read += 1
+                continue
+            finding = _finding(region, view, pixels, references[best], sure)
+            outlines = self._outlines_of(best)
+            (self.things if outlines is not None and outlines.show(pixels) else fresh).append(finding)
+        self.findings += _patterns(fresh, _NEIGHBOURS * cell)
+
+    def _sure(self, index: int) -> Sure | None:
+        if index not in self._known:  # it takes a while, and many regions share a view
+            layer = Layer("image", self._spectrum)
+            self._known[index] = self._measurer.renderer.how_sure(layer, self._views[index].view)
+        return self._known[index]
+
+    def _outlines_of(self, index: int) -> Outlines | None:
+        if index not in self._outlines:
+            self._outlines[index] = photographed(self._measurer.scene, self._views[index].view)
+        return self._outlines[index]
+
+
+def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
+    """Findings of which neighbours that are alike are one: heat between rafters and loops of pipes come in many parts.
+
+    Args:
+        findings: In any order.
+        gap: Distance of boxes up to which they are neighbours [world units].
+    """
+    group = list(range(len(findings)))
+    for i, one in enumerate(findings):
+        for j, other in enumerate(findings[:i]):
+            apart = np.abs(np.subtract(one.region.place, other.region.place))
+            sizes = (np.array(one.region.size) + other.region.size) / 2
+            alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
+            if alike and (apart - sizes <= gap).all():
+                group = [group[i] if number == group[j] else number for number in group]
+    return [_joined([one for one, of in zip(findings, group) if of == number]) for number in dict.fromkeys(group)]
+
+
+def _joined(parts: list[Finding]) -> Finding:
+    """Parts of a pattern as one finding, with the numbers of the largest; place and extent are those of them all."""
+    largest = max(parts, key=lambda one: one.region.area)
+    if len(parts) == 1:
+        return largest
+    low, high = (
+        np.array([np.add(one.region.place, sign * np.array(one.region.size) / 2) for one in parts]) for sign in (-1, 1)
+    )
+    ends = low.min(axis=0), high.max(axis=0)
+    middle, size = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
+    place, sides = ((float(v[0]), float(v[1]), float(v[2])) for v in (middle, size))
+    area = sum(one.region.area if one.area is None else one.area for one in parts)
+    return replace(largest, region=replace(largest.region, place=place, size=sides), area=area)
+
+
+def _holds(one: Region, other: Region) -> bool:
+    """Whether a region is most of another one that holds it."""
+    return one.area >= _MOST_OF * other.area
+
+
+def _of_parts(seen: SearchedView, mask: NDArray[np.bool_]) -> Array:
+    """The median of each part of a mask, in all of its pixels, [H, W]."""
+    of_each = np.array(seen.values)
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    for part in range(1, count):
+        mine = parts == part
+        of_each[mine] = np.median(seen.values[mine])
+    return of_each
+
+
+def surroundings(seen: SearchedView) -> Array:
+    """The median of each pixel's surroundings, [H, W].
+
+    Args:
+        seen: The view.
+    """
+    values, there = seen.values, seen.there
+    if not there.any():
+        return np.zeros_like(values)
+    low, high = np.percentile(values[there], (0.5, 99.5))
+    step = max(float(high - low), 1e-9) / _LEVELS
+    filled = np.where(there, values, np.median(values[there]))
+    levels = np.rint(np.clip((filled - low) / step, 0, _LEVELS)).astype(np.uint8)
+    window = 2 * max(1, round(_SURROUNDINGS * min(values.shape) / 2)) + 1
+    median: Array = low + step * cv2.medianBlur(levels, window).astype(np.float64)
+    return median
+
+
+def must_not_be_read(sure: Sure | None, pixels: NDArray[np.bool_]) -> bool:
+    """Whether most pixels should not be read. That they are few is no reason: a hot screw is a finding.
+
+    Args:
+        sure: How sure the view is; None: nobody knows.
+        pixels: Which ones, [H, W].
+    """
+    return sure is not None and float(((sure.doubts & ~np.uint8(SMALL))[pixels] > 0).mean()) > _MOST_DOUBTED
+
+
+def normalised(difference: float, irradiance: float) -> float:
+    """A temperature difference [K] of a photovoltaic module as it would be at 1000 W/m² (IEC TS 62446-3).
+
+    Args:
+        difference: As measured [K].
+        irradiance: On the modules' plane while it was measured [W/m²], > 0.
+    """
+    return difference * 1000.0 / irradiance
+
+
+def _inside(points: Array, region: Region, cell: float) -> NDArray[np.bool_]:
+    """Where points [H, W, 3] lie in the box around a region."""
+    apart = np.abs(points - np.array(region.place))
+    inside: NDArray[np.bool_] = (apart <= np.array(region.size) + cell).all(axis=-1)
+    return inside
+
+
+def _finding(
+    region: Region, seen: SearchedView, pixels: NDArray[np.bool_], references: Array, sure: Sure | None
+) -> Finding:
+    values = seen.values[pixels]
+    depth = np.where(seen.depth > 0, seen.depth, np.nan)
+    rows, columns = np.nonzero(pixels)
+    return Finding(
+        region=region,
+        seen=seen,
+        pixels=pixels,
+        minimum=float(values.min()),
+        maximum=float(values.max()),
+        mean=float(values.mean()),
+        reference=float(np.median(references[pixels])),
+        uncertainty=_root_mean_square(sure.half_width[pixels]) if sure is not None else None,
+        area=area_of((rows, columns), depth, seen.view.K.double().cpu().numpy()),
+        doubts=() if sure is None else _bits(sure.doubts[pixels]),
+    )
+
+
+def _bits(doubts: NDArray[np.uint8]) -> tuple[int, ...]:
+    return tuple(bit for bit in DOUBTS if (doubts & bit).any())
+
+
+def _root_mean_square(halves: Array) -> float | None:
+    known = halves[np.isfinite(halves)]
+    return float(np.sqrt(np.mean(np.square(known)))) if len(known) else None
