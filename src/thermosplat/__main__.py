@@ -17,6 +17,7 @@ COMMANDS = {
     "view": "thermosplat.cli.view",
     "export": "thermosplat.cli.export",
     "measure": "thermosplat.cli.measure",
+    "compare": "thermosplat.cli.compare",
     "benchmark": "thermosplat.cli.benchmark",
 }
 """Module of each command, whose ``main`` takes the other words."""
