@@ -125,7 +125,9 @@ def write_tables(folder: Path, content: dict[str, Any], rows: Sequence[Row], dat
     for date in content["dates"]:
         writer.writerows({"date": date["name"], **entry} for entry in date["changes"])
     times = io.StringIO()
-    csv.writer(times).writerows([("what", *dates), *((row.what, *("" if v is None else v for v in row.values)) for row in rows)])
+    csv.writer(times).writerows(
+        [("what", *dates), *((row.what, *("" if v is None else v for v in row.values)) for row in rows)]
+    )
     write_text(folder / "changes.csv", table.getvalue())
     write_text(folder / "over_time.csv", times.getvalue())
     write_text(folder / "changes.json", json.dumps(content, indent=1) + "\n")

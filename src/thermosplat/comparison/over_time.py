@@ -56,9 +56,7 @@ def _measurements(dates: Sequence[Date]) -> list[Row]:
     measurers = [Measurer(LayerRenderer(_viewed(date))) for date in dates]
     rows = []
     for definition in definitions:
-        numbers = [
-            measurer.measure(_moved(definition, dates[0], date)) for date, measurer in zip(dates, measurers)
-        ]
+        numbers = [measurer.measure(_moved(definition, dates[0], date)) for date, measurer in zip(dates, measurers)]
         rows.append(Row(definition.name, tuple(None if one is None else one.mean for one in numbers)))
     return rows
 

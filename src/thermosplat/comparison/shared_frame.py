@@ -128,7 +128,9 @@ def _features_of(run: LoadedRun, view: View, spectrum: str) -> _Features:
     at = (np.array([point.pt for point in keypoints]) + 0.5) * factor
     x, y = (np.clip(at[:, axis].astype(int), 0, size - 1) for axis, size in enumerate((coarse.width, coarse.height)))
     kept = (known[y, x] > 0) & ~rough[y, x]
-    unit = descriptors / np.maximum(np.abs(descriptors).sum(axis=1, keepdims=True), 1e-9)  # RootSIFT (Arandjelović 2012)
+    unit = descriptors / np.maximum(
+        np.abs(descriptors).sum(axis=1, keepdims=True), 1e-9
+    )  # RootSIFT (Arandjelović 2012)
     centre = (np.stack([x, y], axis=1) + 0.5)[kept]
     aside = (at[kept] - centre)[:, :, None] * _slopes(points)[y[kept], x[kept]]
     found = points[y, x][kept] + aside.sum(axis=1)

@@ -55,7 +55,9 @@ class MapFrame:
             inner: From that scene to the one that this frame is of.
         """
         offset = np.zeros(3) if inner.offset is None else inner.offset
-        return replace(self, rotation=self.rotation @ inner.rotation, scale=self.scale * inner.scale, offset=self.to_map(offset))
+        return replace(
+            self, rotation=self.rotation @ inner.rotation, scale=self.scale * inner.scale, offset=self.to_map(offset)
+        )
 
 
 def camera_centers(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:
