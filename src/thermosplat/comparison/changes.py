@@ -146,7 +146,9 @@ def _outside(values: Array, others: Array) -> Array:
     low = cv2.erode(np.where(unknown, np.inf, others).astype(np.float32), around)
     high = cv2.dilate(np.where(unknown, -np.inf, others).astype(np.float32), around)
     known = np.isfinite(values) & np.isfinite(low) & np.isfinite(high)
-    return np.where(known, np.maximum(values - high, 0) + np.minimum(values - low, 0), 0.0)
+    away = np.zeros(values.shape)
+    away[known] = np.maximum(values - high, 0)[known] + np.minimum(values - low, 0)[known]
+    return away
 
 
 def _regions(mask: NDArray[np.bool_], core: NDArray[np.bool_]) -> Iterator[NDArray[np.bool_]]:

@@ -7,7 +7,6 @@ alignment finds the one number that is left: the scale of the scene, which becom
 """
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,12 +15,10 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.calibration_file import RigCalibration, read_calibration
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder
 from thermosplat.prepare.counted import agreeing, counted
-from thermosplat.prepare.progress import progress_bar
 from thermosplat.prepare.registration.edge_alignment import STAGES, Alignment, align
 from thermosplat.prepare.registration.edge_correlation import correlate
 from thermosplat.prepare.registration.rig_camera import RigCamera

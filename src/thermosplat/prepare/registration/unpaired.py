@@ -1,10 +1,10 @@
 """Places of thermal images that have no photograph of their moment, by the edges of photographs in space.
 
-Each thermal image is tried where photographs near it were taken, with their directions, at the place that GPS states if
-there is one. A correlation of edges finds the shift (``edge_correlation``), and an alignment of the image alone the
-pose (``edge_alignment``). All images share one lens: its focal length is the one by which a few images correlate best,
-and all that are placed refine it together. What GPS says of all images is wrong by a common error of metres: once some
-are placed, others begin where GPS has them less that error.
+Images that a straight piece of a flight took look about one way. They are tried together with the directions of
+photographs near them, each at the place that GPS states; an image of which GPS says nothing is tried alone, wherever a
+photograph was taken. A correlation of edges finds the shift (``edge_correlation``), and an alignment of each image its
+pose (``edge_alignment``). What GPS says of all images is wrong by a common error of metres: once some are placed, others
+begin where GPS has them less that error. At last all poses and the one lens are adjusted together.
 
 An image counts as placed if clearly more edges meet than by chance, as in most others, and if it lies where GPS has it.
 """
@@ -12,34 +12,40 @@ An image counts as placed if clearly more edges meet than by chance, as in most 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.prepare.progress import progress_bar
-from thermosplat.prepare.registration.edge_alignment import Meeting, Stage, align
+from thermosplat.prepare.registration.edge_alignment import Meeting, Stage, align, matched_rows, meetings
 from thermosplat.prepare.registration.edge_correlation import FOCAL_LENGTHS, QUARTERS, best_shift, edge_field
 from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera
-from thermosplat.prepare.registration.stereo_edges import EdgePoints
+from thermosplat.prepare.registration.stereo_edges import EdgePoints, joined
 
-_POSE, _LENS = UNKNOWNS[:6], UNKNOWNS[6:]
+_POSE = UNKNOWNS[:6]
 _COARSE: Sequence[Stage] = (
     (UNKNOWNS[:3], ((10, 4.0),) * 4),
     (_POSE, ((10, 4.0),) * 5 + ((6, 2.0),) * 4 + ((3, 0.8),) * 4),
 )
-_FINE: Sequence[Stage] = ((_POSE, ((4, 1.5),) * 4 + ((3, 0.8),) * 4),)
-_OF_LENS: Sequence[Stage] = ((_LENS, ((4, 1.5),) * 3 + ((3, 0.8),) * 3),)
-_ROUNDS = 3
+_ADJUSTED = ((6, 2.5),) * 4 + ((4, 1.5),) * 6 + ((3, 0.8),) * 8
+"""Search range and robust scale of each step of the adjustment, as in ``edge_alignment.STAGES``."""
 _NEAR_BY_GPS = 8
-"""Photographs whose directions are tried where GPS has an image: those of strips to and fro, and oblique ones."""
+"""Photographs whose directions are tried where GPS has images: those of strips to and fro, and oblique ones."""
+_STRAIGHT = 0.85
+"""Cosine of the turn of a path up to which it is straight."""
+_TOGETHER = 8
+"""Images of a straight piece that are tried together."""
 _EDGES_OF = 4
 """Photographs whose edges an image is aligned with."""
-_ASKED = 5
-"""Images that tell the focal length, each by its best trial."""
-_TRIED = 3
-"""Best trials of an image that are aligned."""
+_ASKED = 6
+"""Pieces that tell the focal length, each by its best trial."""
+_TRIED = 2
+"""Best trials of a piece whose images are aligned."""
 _ABOVE_CHANCE = 1.35
 """How many times as many edges must meet as by chance; where thermal and visible edges agree it is twice to three
 times."""
+_FEWEST_MET = 150
+"""Edge points that must meet an edge: fewer may all lie on one contour."""
 _OF_USUAL = 0.5
 """Of what is above chance in the images' median, below which an image is left out."""
 _OFF_GPS = 5.0
@@ -60,13 +66,14 @@ class Photographs:
     centres: Array
     edges: EdgePoints
 
-    def seen_from(self, numbers: Sequence[int], rotation: Array, centre: Array) -> EdgePoints:
+    def seen_from(self, numbers: Sequence[int], rotation: Array, centre: Array, frame: int = 0) -> EdgePoints:
         """The edges of some photographs in the axes of a camera elsewhere.
 
         Args:
             numbers: Which photographs.
             rotation: World to that camera, [3, 3].
             centre: Its place, [3].
+            frame: What the frame is called.
         """
         points, along = [], []
         for number in numbers:
@@ -76,7 +83,20 @@ class Photographs:
             points.append(self.edges.points[mine] @ turn.T + shift)
             along.append(self.edges.along[mine] @ turn.T + shift)
         both = np.concatenate(points), np.concatenate(along)
-        return EdgePoints(np.zeros(len(both[0]), np.int64), *both)
+        return EdgePoints(np.full(len(both[0]), frame), *both)
+
+    def near(self, rotation: Array, centre: Array, most: int = _EDGES_OF) -> list[int]:
+        """The photographs that look about where a camera looks, from near it.
+
+        Args:
+            rotation: World to the camera, [3, 3].
+            centre: Its place, [3].
+            most: How many.
+        """
+        angle = np.arccos(np.clip(self.rotations[:, 2] @ rotation[2], -1, 1))
+        apart = np.linalg.norm(self.centres - centre, axis=1)
+        usual = np.median(np.sort(apart)[: 2 * _EDGES_OF]) + 1e-9
+        return [int(number) for number in np.argsort(apart / usual + 4 * angle)[:most]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,56 +139,78 @@ def placed_images(
 
     Args:
         photographs: The photographs.
-        slopes: Slopes [H, W, 2] of each thermal image.
+        slopes: Slopes [H, W, 2] of each thermal image, in the order in which they were taken.
         gps: Where GPS has each, in the world, [3]; None: it does not say.
     """
     height, width = slopes[0].shape[:2]
     fields = [edge_field(field) for field in slopes]
-    focal_length = _focal_length(photographs, fields, gps, width, height)
+    pieces = _pieces(gps)
+    focal_length = _focal_length(photographs, fields, gps, pieces, width, height)
     lens = RigCamera.looking_along(width, height, focal_length)
     places: dict[int, Place] = {}
-    offset = np.zeros(3)
     with progress_bar("places", 2 * len(slopes)) as advance:
-        for first in (True, False):
-            for number, field in enumerate(slopes):
-                if first or number not in places:
-                    start = None if gps[number] is None else gps[number] - offset
-                    found = _placed(photographs, field, fields[number], start, lens)
-                    if found is not None and found.above_chance >= _ABOVE_CHANCE:
-                        places[number] = found
-                advance(1)
-            known = [places[number].centre for number in places if gps[number] is not None]
-            if known:
-                stated = [gps[number] for number in places if gps[number] is not None]
-                offset = np.median(np.array(stated) - np.array(known), axis=0)
-    for _ in range(_ROUNDS):
-        good = _sound(places, gps)
-        if not good:
-            break
-        lens = _refined_lens(photographs, slopes, good, lens)
-        for number, place in places.items():
-            places[number] = _aligned(photographs, slopes[number], place.rotation, place.centre, lens, _FINE) or place
-    return Placement(lens, _sound(places, gps))
+        for _ in range(2):
+            known = {number: gps[number] - place.centre for number, place in places.items() if gps[number] is not None}
+            offset = np.median(list(known.values()), axis=0) if known else np.zeros(3)
+            moved = [None if place is None else place - offset for place in gps]
+            for piece in pieces:
+                if any(number not in places for number in piece):
+                    trials = _trials(photographs, {n: fields[n] for n in piece}, moved, width, height, focal_length)
+                    found = max(
+                        (_each(photographs, slopes, piece, moved, *trial, lens) for trial in trials[:_TRIED]),
+                        key=lambda one: sum(place.above_chance for place in one.values()),
+                    )
+                    places |= {number: place for number, place in found.items() if number not in places}
+                advance(len(piece))
+    good = _sound(places, gps)
+    if good:
+        lens, good = _adjusted(photographs, slopes, good, lens)
+    return Placement(lens, _sound(good, gps))
 
 
-def _candidates(photographs: Photographs, start: Array | None) -> list[tuple[int, Array]]:
-    """Photographs whose direction is tried, and where."""
-    if start is None:
-        return list(enumerate(photographs.centres))
-    apart = np.linalg.norm(photographs.centres - start, axis=1)
-    return [(int(number), start) for number in np.argsort(apart)[:_NEAR_BY_GPS]]
+def _pieces(gps: Sequence[Array | None]) -> list[list[int]]:
+    """Images of straight pieces of the path; those without a position alone."""
+    pieces: list[list[int]] = []
+    towards: Array | None = None
+    for number, place in enumerate(gps):
+        before = gps[number - 1] if number else None
+        step = None if place is None or before is None else (place - before)[:2]
+        step = None if step is None or not np.linalg.norm(step) else step / np.linalg.norm(step)
+        goes_on = step is not None and (towards is None or float(step @ towards) > _STRAIGHT)
+        if pieces and goes_on and len(pieces[-1]) < _TOGETHER:
+            pieces[-1].append(number)
+            towards = step
+        else:
+            pieces.append([number])
+            towards = None
+    return pieces
 
 
 def _trials(
-    photographs: Photographs, field: NDArray[np.complex64], start: Array | None, width: int, height: int, f: float
-) -> list[tuple[float, Array, Array]]:
-    """Score, rotation and place of all trials, the best first."""
+    photographs: Photographs,
+    fields: Mapping[int, NDArray[np.complex64]],
+    gps: Sequence[Array | None],
+    width: int,
+    height: int,
+    focal_length: float,
+) -> list[tuple[float, Array, Array | None]]:
+    """Score and rotation of all trials for a piece, the best first; and the place, where GPS does not say it."""
+    places = [place for place in (gps[number] for number in fields) if place is not None]
+    chosen = range(len(photographs.centres))
+    if places:
+        apart = np.linalg.norm(photographs.centres - np.mean(places, axis=0), axis=1)
+        chosen = np.argsort(apart)[:_NEAR_BY_GPS].tolist()
     found = []
-    for number, centre in _candidates(photographs, start):
-        edges = photographs.seen_from([number], photographs.rotations[number], centre)
+    for number in chosen:
+        rotation, own = photographs.rotations[number], None if places else photographs.centres[number]
+        edges = joined(
+            photographs.seen_from(photographs.near(rotation, centre, 1), rotation, centre, image)
+            for image in fields
+            if (centre := own if own is not None else gps[image]) is not None
+        )
         for angle in QUARTERS:
-            score, camera = best_shift(edges, {0: field}, width, height, f, angle)
-            found.append((score, camera.rotation @ photographs.rotations[number], centre))
+            score, camera = best_shift(edges, dict(fields), width, height, focal_length, angle)
+            found.append((score, camera.rotation @ rotation, own))
     return sorted(found, key=lambda trial: -trial[0])
 
 
@@ -176,76 +218,98 @@ def _focal_length(
     photographs: Photographs,
     fields: Sequence[NDArray[np.complex64]],
     gps: Sequence[Array | None],
+    pieces: Sequence[Sequence[int]],
     width: int,
     height: int,
 ) -> float:
-    """The focal length [px] by which some images correlate best."""
-    asked = np.unique(np.linspace(0, len(fields) - 1, min(_ASKED, len(fields))).round().astype(int))
+    """The focal length [px] by which some pieces correlate best."""
+    largest = sorted(pieces, key=lambda piece: -len(piece))
+    count = sum(len(piece) > 1 for piece in pieces) or len(pieces)
+    asked = [largest[i] for i in np.unique(np.linspace(0, count - 1, min(_ASKED, count)).round().astype(int))]
     lengths = [width * factor for factor in FOCAL_LENGTHS[::2]]
     scores = np.zeros(len(lengths))
     with progress_bar("focal length", len(lengths)) as advance:
         for number, f in enumerate(lengths):
-            scores[number] = sum(_trials(photographs, fields[i], gps[i], width, height, f)[0][0] for i in asked)
+            scores[number] = sum(
+                _trials(photographs, {i: fields[i] for i in piece}, gps, width, height, f)[0][0] for piece in asked
+            )
             advance(1)
     return lengths[int(scores.argmax())]
 
 
-def _placed(
+def _each(
     photographs: Photographs,
-    slopes: NDArray[np.float32],
-    field: NDArray[np.complex64],
-    start: Array | None,
-    lens: RigCamera,
-) -> Place | None:
-    """The best of an image's best trials."""
-    trials = _trials(photographs, field, start, lens.width, lens.height, lens.lens[0])[:_TRIED]
-    found = [_aligned(photographs, slopes, rotation, centre, lens, _COARSE) for _, rotation, centre in trials]
-    return max((one for one in found if one is not None), key=lambda one: one.above_chance, default=None)
-
-
-def _aligned(
-    photographs: Photographs,
-    slopes: NDArray[np.float32],
+    slopes: Sequence[NDArray[np.float32]],
+    piece: Sequence[int],
+    gps: Sequence[Array | None],
+    score: float,
     rotation: Array,
-    centre: Array,
+    own: Array | None,
     lens: RigCamera,
-    stages: Sequence[Stage],
-) -> Place | None:
-    """An image's pose with all edges that photographs near it have, from one that is about right."""
-    edges = photographs.seen_from(_seeing(photographs, rotation, centre), rotation, centre)
-    camera = replace(lens, rotation=np.eye(3), translation=np.zeros(3))
-    found = align(camera, edges, [slopes], stages=stages)
-    if 0 not in found.frames:
-        return None
-    turned = found.camera.rotation @ rotation
-    return Place(turned, centre - turned.T @ found.camera.translation, found.frames[0])
+) -> dict[int, Place]:
+    """The images of a piece, each aligned with all edges near it; those whose edges do not meet are missing."""
+    found = {}
+    for number in piece:
+        centre = gps[number] if own is None else own
+        assert centre is not None  # noqa: S101  images of a piece have positions, or one tries a place
+        edges = photographs.seen_from(photographs.near(rotation, centre), rotation, centre)
+        aligned = align(lens, edges, [slopes[number]], stages=_COARSE)
+        met = aligned.frames.get(0)
+        if met is not None and met.near >= _FEWEST_MET and met.near >= _ABOVE_CHANCE * met.by_chance:
+            turned = aligned.camera.rotation @ rotation
+            found[number] = Place(turned, centre - turned.T @ aligned.camera.translation, met)
+    return found
 
 
-def _seeing(photographs: Photographs, rotation: Array, centre: Array) -> list[int]:
-    """Photographs that look about where a camera looks, from near it."""
-    along = photographs.rotations[:, 2] @ rotation[2]
-    apart = np.linalg.norm(photographs.centres - centre, axis=1)
-    usual = np.median(np.sort(apart)[: 2 * _EDGES_OF]) + 1e-9
-    return [int(number) for number in np.argsort(apart / usual + 4 * np.arccos(np.clip(along, -1, 1)))[:_EDGES_OF]]
-
-
-def _refined_lens(
+def _adjusted(
     photographs: Photographs,
     slopes: Sequence[NDArray[np.float32]],
     places: Mapping[int, Place],
     lens: RigCamera,
-) -> RigCamera:
-    """The lens by which edges of all placed images meet best."""
-    parts = [
-        photographs.seen_from(_seeing(photographs, place.rotation, place.centre), place.rotation, place.centre)
-        for place in places.values()
-    ]
-    frame = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
-    edges = EdgePoints(
-        frame, np.concatenate([part.points for part in parts]), np.concatenate([part.along for part in parts])
+) -> tuple[RigCamera, dict[int, Place]]:
+    """All poses and the lens together: Gauss-Newton steps, with the poses eliminated (Schur complement)."""
+    numbers = list(places)
+    cameras = {n: (places[n].rotation, places[n].centre) for n in numbers}
+    fields = [slopes[n] for n in numbers]
+    at_rest = replace(lens, rotation=np.eye(3), translation=np.zeros(3))
+    with progress_bar("adjustment", len(_ADJUSTED)) as advance:
+        for reach, scale in _ADJUSTED:
+            edges = joined(
+                photographs.seen_from(photographs.near(*cameras[n]), *cameras[n], frame)
+                for frame, n in enumerate(numbers)
+            )
+            frame, rows, offsets, weights = matched_rows(at_rest, edges, fields, reach, scale)
+            steps, of_lens = _solved(frame, rows, offsets, weights, len(numbers), at_rest.width)
+            at_rest = at_rest.moved(np.concatenate([np.zeros(6), of_lens]))
+            for step, n in zip(steps, numbers):
+                rotation, centre = cameras[n]
+                turned = cv2.Rodrigues(np.ascontiguousarray(step[:3]))[0] @ rotation
+                cameras[n] = turned, centre - turned.T @ step[3:]
+            advance(1)
+    edges = joined(
+        photographs.seen_from(photographs.near(*cameras[n]), *cameras[n], frame) for frame, n in enumerate(numbers)
     )
-    camera = replace(lens, rotation=np.eye(3), translation=np.zeros(3))
-    return align(camera, edges, [slopes[number] for number in places], stages=_OF_LENS).camera
+    met = meetings(at_rest, edges, fields)
+    return at_rest, {n: Place(*cameras[n], met[frame]) for frame, n in enumerate(numbers) if frame in met}
+
+
+def _solved(
+    frame: NDArray[np.int64], rows: Array, offsets: Array, weights: Array, count: int, width: int
+) -> tuple[Array, Array]:
+    """Steps of the poses [count, 6] and of the lens [5], of least weighted squares."""
+    spreads = np.array([0.3, 0.04 * width, 0.04 * width, 0.6, 0.4])  # of the lens; images say far more
+    of_lens, right = np.diag(1 / spreads**2), np.zeros(5)
+    inverses, mixed, rights = np.zeros((count, 6, 6)), np.zeros((count, 6, 5)), np.zeros((count, 6))
+    for number in range(count):
+        mine = frame == number
+        weighted = rows[mine] * weights[mine, None]
+        normal, side = weighted.T @ rows[mine], weighted.T @ offsets[mine]
+        damped = normal[:6, :6] + np.diag(1e-6 * np.diag(normal)[:6] + 1e-9)
+        inverses[number], mixed[number], rights[number] = np.linalg.inv(damped), normal[:6, 6:], side[:6]
+        of_lens += normal[6:, 6:] - mixed[number].T @ inverses[number] @ mixed[number]
+        right += side[6:] - mixed[number].T @ inverses[number] @ rights[number]
+    lens = np.linalg.solve(of_lens, right)
+    return np.einsum("nij,nj->ni", inverses, rights - mixed @ lens), lens
 
 
 def _sound(places: Mapping[int, Place], gps: Sequence[Array | None]) -> dict[int, Place]:
