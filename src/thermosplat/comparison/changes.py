@@ -23,6 +23,8 @@ from thermosplat.comparison.dated_map import DatedMap
 Array = NDArray[np.floating]
 Kind = Literal["warmer", "colder", "gone", "new", "moved"]
 _NORMAL, _MAD = 1.96, 1.4826
+_LEAST_FACTOR = 0.1
+"""Of the intervals of both dates: scenes that agree exactly, such as one with itself, are not exact. Open choice."""
 _CORE = 3.0
 """Times its interval that a change exceeds somewhere: at once, one pixel of 20 lies outside of its own. Open choice."""
 _FEWEST_PIXELS = 4
@@ -95,7 +97,7 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
     shift = float(np.median(difference[still])) if still.any() else 0.0
     intervals = np.hypot(first.half_widths, other.half_widths)
     ratios = np.abs(difference - shift)[still] / np.maximum(intervals[still], 1e-9)
-    factor = _NORMAL * _MAD * float(np.median(ratios)) if still.any() else 1.0
+    factor = max(_LEAST_FACTOR, _NORMAL * _MAD * float(np.median(ratios))) if still.any() else 1.0
     uncertainties = np.where(known, factor * intervals, np.nan)
     left = _beyond(first.values, other.values - shift)
     beyond = still & (np.abs(left) > uncertainties)

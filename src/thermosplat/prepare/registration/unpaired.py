@@ -27,17 +27,17 @@ _COARSE: Sequence[Stage] = (
     (UNKNOWNS[:3], ((10, 4.0),) * 4),
     (_POSE, ((10, 4.0),) * 5 + ((6, 2.0),) * 4 + ((3, 0.8),) * 4),
 )
-_ADJUSTED = ((6, 2.5),) * 4 + ((4, 1.5),) * 6 + ((3, 0.8),) * 8
+_ADJUSTED = ((6, 2.5),) * 2 + ((4, 1.5),) * 3 + ((3, 0.8),) * 4
 """Search range and robust scale of each step of the adjustment, as in ``edge_alignment.STAGES``."""
-_NEAR_BY_GPS = 8
+_NEAR_BY_GPS = 6
 """Photographs whose directions are tried where GPS has images: those of strips to and fro, and oblique ones."""
 _STRAIGHT = 0.85
 """Cosine of the turn of a path up to which it is straight."""
-_TOGETHER = 8
+_TOGETHER = 6
 """Images of a straight piece that are tried together."""
-_EDGES_OF = 4
+_EDGES_OF = 3
 """Photographs whose edges an image is aligned with."""
-_ASKED = 6
+_ASKED = 4
 """Pieces that tell the focal length, each by its best trial."""
 _TRIED = 2
 """Best trials of a piece whose images are aligned."""
@@ -226,7 +226,7 @@ def _focal_length(
     largest = sorted(pieces, key=lambda piece: -len(piece))
     count = sum(len(piece) > 1 for piece in pieces) or len(pieces)
     asked = [largest[i] for i in np.unique(np.linspace(0, count - 1, min(_ASKED, count)).round().astype(int))]
-    lengths = [width * factor for factor in FOCAL_LENGTHS[::2]]
+    lengths = [width * factor for factor in FOCAL_LENGTHS[2::3]]
     scores = np.zeros(len(lengths))
     with progress_bar("focal length", len(lengths)) as advance:
         for number, f in enumerate(lengths):
