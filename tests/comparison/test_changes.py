@@ -13,7 +13,9 @@ SIZE, PIXEL, SHIFT = 160, 0.05, -6.0
 def shown(values: np.ndarray, heights: np.ndarray | None = None, *, noise: int, aside: float = 0.0) -> DatedMap:
     """A map with correlated noise of 0.1 K, moved by a part of a pixel; its intervals are three times too wide."""
     grain = cv2.GaussianBlur(np.random.default_rng(noise).normal(size=values.shape), (0, 0), 1.0)
-    moved = cv2.warpAffine(values, np.array([[1, 0, aside], [0, 1, -aside]]), values.shape, borderMode=cv2.BORDER_REFLECT)
+    moved = cv2.warpAffine(
+        values, np.array([[1, 0, aside], [0, 1, -aside]]), values.shape, borderMode=cv2.BORDER_REFLECT
+    )
     made = moved + 0.1 * grain / grain.std()
     ground = np.zeros_like(values) if heights is None else heights
     return DatedMap(made.astype(np.float32), np.full(values.shape, 0.6), ground.astype(np.float32), None)

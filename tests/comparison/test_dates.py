@@ -84,7 +84,9 @@ def test_the_wrong_number_of_runs_or_captures(monkeypatch: pytest.MonkeyPatch) -
     assert (spectrum, photographs) == ("thermal", "rgb")
 
 
-@pytest.mark.parametrize(("there", "said"), [((47.05, 8.4), "7,[0-9]+ m apart"), ((47.05, 14.3), "different UTM zones")])
+@pytest.mark.parametrize(
+    ("there", "said"), [((47.05, 8.4), "7,[0-9]+ m apart"), ((47.05, 14.3), "different UTM zones")]
+)
 def test_two_places(there: tuple[float, float], said: str) -> None:
     """GPS tells them apart before any photograph is looked at."""
     first, other = SaidRun("a", DEGREES, HERE), SaidRun("b", DEGREES, GeoFrame(*there, 480.0, 0.5, 40))

@@ -31,6 +31,8 @@ _FEWEST_PIXELS = 4
 _HEIGHT_PIXELS, _HEIGHT_SCATTERS = 6.0, 6.0
 """A thing that is gone or new is higher than so many pixels are wide, and than so many robust standard deviations of
 heights that did not change. Open choice."""
+_LOW_PART = 0.4
+"""Of that height, down to which the rest of a thing belongs to it: the bonnet of a car, beside its cabin."""
 _BESIDE = 5
 """Pixels around a thing that is gone or new whose temperature it makes: it warms the ground and hides it."""
 _JOINED = 5
@@ -129,9 +131,14 @@ def _things(first: Array, other: Array, pixel: float) -> tuple[NDArray[np.bool_]
     scatter = _MAD * float(np.median(np.abs(rise[both])))
     least = max(_HEIGHT_PIXELS * pixel, _HEIGHT_SCATTERS * scatter)
     away = np.where(both, _beyond(np.where(both, first, np.nan), first + rise), 0.0)
-    differs = (np.abs(away) > least).astype(np.uint8)
-    opened = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    return opened > 0, rise
+    core = _opened(np.abs(away) > least)
+    _, labels = cv2.connectedComponents(_opened(np.abs(away) > _LOW_PART * least).astype(np.uint8))
+    whole = np.isin(labels, np.unique(labels[core & (labels > 0)]))
+    return whole, rise
+
+
+def _opened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
 
 
 def _beyond(first: Array, other: Array) -> Array:

@@ -95,6 +95,6 @@ def _said(name: str, first: str, changes: Changes, unit: str) -> str:
         else ""
     )
     return (
-        f"From {first} to {name} all values changed by {changes.shift:+.2f} {unit_label(unit)}, as weather does. Beyond "
-        f"that, places that changed: {listed}.{season}"
+        f"From {first} to {name} all values changed by {changes.shift:+.2f} {unit_label(unit)}, as weather does. "
+        f"Beyond that, places that changed: {listed}.{season}"
     )

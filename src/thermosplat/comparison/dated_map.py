@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from thermosplat.datasets.capture import Capture
 from thermosplat.evaluation.loaded_run import LoadedRun
 from thermosplat.export.maps.map_frame import MapFrame
-from thermosplat.export.maps.orthomosaic import MapGrid, render_map
+from thermosplat.export.maps.orthomosaic import MapGrid
+from thermosplat.scene.rendered_frame import LEAST_COVER
+from thermosplat.thermal.intensity import pixel_intensity
 
 Array = NDArray[np.float32]
 _PART = 256
@@ -49,31 +51,38 @@ class DatedMap:
 def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None) -> DatedMap:
     """Render a date.
 
+    A cold surface may be as dark as what lies behind the scene, and training leaves it transparent there. The
+    photographs' surface counts then, and an interval is that of most of the map.
+
     Args:
         date: The date.
         grid: The grid, in the frame of the first date's scene.
         spectrum: Whose values are compared.
         photographs: The spectrum of the photographs; None: there is none.
     """
-    own = replace(grid, frame=grid.frame.of(date.to_first))
-    run = date.run
-    picture = render_map(run.model, spectrum, run.scales[spectrum], own, sh_degree=run.sh_degree)
-    values = picture[0]
-    certainty = run.certainties(date.capture)[spectrum]
-    heights, half_widths = np.full_like(values, np.nan), np.full_like(values, np.nan)
-    for part, rows, columns in _parts(own):
-        view = part.view(0, 0, part.width, part.height, run.device)
-        shown = values[rows, columns]
-        depth = run.model.render_depth(spectrum, view).cpu().numpy()
-        there = np.isfinite(shown) & (depth > 0)
-        heights[rows, columns] = np.where(there, part.top - depth * own.frame.scale, np.nan)
+    own, run = replace(grid, frame=grid.frame.of(date.to_first)), date.run
+    certainty, scale = run.certainties(date.capture)[spectrum], run.scales[spectrum]
+    leading = photographs or spectrum
+    values, half_widths, heights = (np.full((grid.height, grid.width), np.nan, np.float32) for _ in range(3))
+    seen = np.full((grid.height, grid.width, 3), np.nan, np.float32)
+    for part, *place in _parts(own):
+        at, view = tuple(place), part.view(0, 0, part.width, part.height, run.device)
+        rendered = run.model.render(dict.fromkeys((spectrum, leading), view), sh_degree=run.sh_degree)
+        depth = run.model.render_depth(leading, view).cpu().numpy()
+        covered = torch.maximum(rendered.alphas[spectrum], rendered.alphas[leading])[..., 0].cpu().numpy()
+        there = (covered >= LEAST_COVER) & (depth > 0)
+        shown = scale.value(pixel_intensity(rendered.images[spectrum].clamp(0, 1), scale)).cpu().numpy()
+        values[at] = np.where(there, shown, np.nan)
+        heights[at] = np.where(there, part.top - depth * own.frame.scale, np.nan)
         if there.any():
-            half_widths[rows, columns] = np.where(there, certainty.of_view(view, shown).half_width, np.nan)
-    seen = None
-    if photographs is not None:
-        colours = render_map(run.model, photographs, run.scales[photographs], own, sh_degree=run.sh_degree)
-        seen = colours.transpose(1, 2, 0)
-    return DatedMap(np.where(np.isfinite(heights), values, np.nan), half_widths, heights, seen)
+            half_widths[at] = np.where(there, certainty.of_view(view, values[at]).half_width, np.nan)
+        if photographs is not None:
+            colours = rendered.images[leading].clamp(0, 1).cpu().numpy()
+            seen[at] = np.where(there[..., None], colours, np.nan)
+    known = np.isfinite(half_widths)
+    usual = float(np.median(half_widths[known])) if known.any() else 0.0
+    half_widths = np.where(np.isfinite(values) & ~known, usual, half_widths)
+    return DatedMap(values, half_widths, heights, seen if photographs is not None else None)
 
 
 def _parts(grid: MapGrid) -> Iterator[tuple[MapGrid, slice, slice]]:

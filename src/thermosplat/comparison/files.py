@@ -161,10 +161,12 @@ def write_page(
         spread = _symmetric(found)
         write_png(pictures / f"difference_{later}.png", _colours(found.differences, *spread, "blue red"))
         parts.append(
-            f"<h2>{html.escape(stated['name'])}</h2><p>{html.escape(stated['said'])} Draw the corner of the picture.</p>"
+            f"<h2>{html.escape(stated['name'])}</h2>"
+            f"<p>{html.escape(stated['said'])} Draw the corner of the picture.</p>"
             f'<div class="wipe"><img src="pictures/date_{later}.png" alt="later"><div>'
             '<img src="pictures/date_0.png" alt="first"></div></div>'
-            f'<p>Difference, blue {spread[0]:.1f} to red {spread[1]:+.1f}:</p><img src="pictures/difference_{later}.png" alt="">'
+            f"<p>Difference, blue {spread[0]:.1f} to red {spread[1]:+.1f}:</p>"
+            f'<img src="pictures/difference_{later}.png" alt="">'
         )
         parts.append(_table(stated["changes"], content["unit"], content["length_unit"]))
         for number, change in enumerate(found.found[:_SHOWN], 1):
@@ -193,7 +195,8 @@ def write_page(
 
 def _table(stated: list[dict[str, Any]], unit: str, length: str) -> str:
     rows = "".join(
-        f"<tr><td>{one['number']} {one['kind']}</td><td>{one['east']:.2f} {one['north']:.2f}</td><td>{one['area']:.3g}</td>"
+        f"<tr><td>{one['number']} {one['kind']}</td><td>{one['east']:.2f} {one['north']:.2f}</td>"
+        f"<td>{one['area']:.3g}</td>"
         f"<td>{one['difference']:+.2f} ± {one['plus_minus']:.2f}</td><td>{one['height']:+.2f}</td></tr>"
         for one in stated
     )

@@ -52,11 +52,8 @@ def coherence(
     """
     made = {}
     for pair in combinations(model.spectra, 2):
-        views = [
-            without_pixels(frame.views[pair[1]] if pair[1] in frame.views else frame.views[pair[0]], device).as_pinhole()
-            for frame in capture.test
-            if any(name in frame.views for name in pair)
-        ]
+        taken = [frame.views.get(pair[1], frame.views.get(pair[0])) for frame in capture.test]
+        views = [without_pixels(view, device).as_pinhole() for view in taken if view is not None]
         found = []
         for view in views:
             images = model.render(dict.fromkeys(pair, view), sh_degree=sh_degree).images

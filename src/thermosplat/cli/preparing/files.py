@@ -27,8 +27,8 @@ class SourceArguments:
     rgb: str | None = None
     """Folder of the photographs. None: they are found by names, sizes and what the files hold."""
     thermal: str | None = None
-    """Folder of the thermal files. None: they are found likewise. With FOLDER in place of --rgb they are of another hour
-    than its photographs, and are not paired."""
+    """Folder of the thermal files. None: they are found likewise. With FOLDER in place of --rgb, they are of another
+    hour than its photographs, and are not paired."""
     further: tuple[str, ...] = ()
     """Folders of further spectra, such as nir=data/shed/nir."""
     unit: str | None = None

@@ -1,10 +1,10 @@
 """Places of thermal images that have no photograph of their moment, by the edges of photographs in space.
 
 Images that a straight piece of a flight took look about one way. They are tried together with the directions of
-photographs near them, each at the place that GPS states; an image of which GPS says nothing is tried alone, wherever a
+photographs near them, each at the place that GPS states. An image of which GPS says nothing is tried alone, wherever a
 photograph was taken. A correlation of edges finds the shift (``edge_correlation``), and an alignment of each image its
-pose (``edge_alignment``). What GPS says of all images is wrong by a common error of metres: once some are placed, others
-begin where GPS has them less that error. At last all poses and the one lens are adjusted together.
+pose (``edge_alignment``). What GPS says of all images is wrong by a common error of metres: once some are placed, the
+others begin where GPS has them less that error. At last all poses and the one lens are adjusted together.
 
 An image counts as placed if clearly more edges meet than by chance, as in most others, and if it lies where GPS has it.
 """

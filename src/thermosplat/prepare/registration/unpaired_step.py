@@ -67,7 +67,7 @@ def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> li
 
 
 def _positions(capture: CaptureFolder, rows: list[FrameRow]) -> list[Array | None]:
-    """Where GPS has thermal images in the photographs' world; None where it does not say, or nobody knows that world."""
+    """Where GPS has thermal images in the photographs' world; None where it does not say, or has no such world."""
     geo = read_geo(capture.root)
     if geo is None:
         return [None] * len(rows)
@@ -83,9 +83,10 @@ def _positions(capture: CaptureFolder, rows: list[FrameRow]) -> list[Array | Non
 def _said(found: Placement, rows: list[FrameRow], gps: list[Array | None]) -> list[str]:
     f, cx, cy, k1, k2 = found.lens.lens
     ratio = float(np.median([place.above_chance for place in found.places.values()]))
+    count = len(found.places)
     said = [
-        f"{len(found.places)} of {counted(len(rows), 'thermal image')} without a partner {agreeing(len(found.places), 'is', 'are')} placed among the {LEADING} images; edges meet {ratio:.1f} "
-        "times as often as by chance, in the median.",
+        f"{count} of {counted(len(rows), 'thermal image')} without a partner {agreeing(count, 'is', 'are')} placed "
+        f"among the {LEADING} images; edges meet {ratio:.1f} times as often as by chance, in the median.",
         f"Thermal lens: focal length {f:.1f} px, principal point {cx:.1f}, {cy:.1f}, distortion {k1:.3f}, {k2:.3f}.",
     ]
     off = [gps[number] - place.centre for number, place in found.places.items() if gps[number] is not None]
@@ -99,6 +100,7 @@ def _said(found: Placement, rows: list[FrameRow], gps: list[Array | None]) -> li
     lost = [row.file for number, row in enumerate(rows) if number not in found.places]
     if lost:
         said.append(
-            f"! {counted(len(lost), 'thermal image')} could not be placed and {agreeing(len(lost), 'is', 'are')} left out: {some(lost)}."
+            f"! {counted(len(lost), 'thermal image')} could not be placed and {agreeing(len(lost), 'is', 'are')} left "
+            f"out: {some(lost)}."
         )
     return said
