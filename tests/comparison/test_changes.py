@@ -68,10 +68,18 @@ def test_a_car_that_moved_is_no_warmer_place() -> None:
 @pytest.mark.parametrize(("height", "kind"), [(3.0, "new"), (-3.0, "gone")])
 def test_a_thing_that_is_new_or_gone(height: float, kind: str) -> None:
     """A scaffold; a common error of all heights is none."""
-    heights = np.zeros((SIZE, SIZE))
+    heights, after = np.zeros((SIZE, SIZE)), houses()
     heights[30:60, 100:130] = height
-    (change,) = find_changes(shown(houses(), noise=1), shown(houses(), heights + 2.0, noise=2), PIXEL).found
+    after[30:60, 100:130] += np.sign(np.arange(30) - 15) * 3.0  # warm and cold, as things are
+    (change,) = find_changes(shown(houses(), noise=1), shown(after, heights + 2.0, noise=2), PIXEL).found
     assert change.kind == kind
+
+
+def test_heights_without_anything_to_see_are_unsure() -> None:
+    """Flat ground that looks as before has not risen."""
+    heights = np.zeros((SIZE, SIZE))
+    heights[30:60, 100:130] = 3.0
+    assert not find_changes(shown(houses(), noise=1), shown(houses(), heights, noise=2), PIXEL).found
 
 
 def test_dates_that_show_nothing_in_common() -> None:

@@ -28,13 +28,14 @@ _LEAST_FACTOR = 0.1
 _CORE = 3.0
 """Times its interval that a change exceeds somewhere: at once, one pixel of 20 lies outside of its own. Open choice."""
 _FEWEST_PIXELS = 4
-_HEIGHT_PIXELS, _HEIGHT_SCATTERS = 6.0, 6.0
+_HEIGHT_PIXELS, _HEIGHT_SCATTERS = 6.0, 3.0
 """A thing that is gone or new is higher than so many pixels are wide, and than so many robust standard deviations of
 heights that did not change. Open choice."""
-_LOW_PART = 0.4
-"""Of that height, down to which the rest of a thing belongs to it: the bonnet of a car, beside its cabin."""
 _BESIDE = 5
 """Pixels around a thing that is gone or new whose temperature it makes: it warms the ground and hides it."""
+_LOOKS_OTHER = 0.12
+"""Colour, of 1, by which a thing changes more than its surroundings, unless its values do by ``_CORE`` intervals: flat
+ground without texture has no sure height, and looks as before. Open choice."""
 _JOINED = 5
 """Pixels between parts of one change."""
 _ALIKE = 0.35
@@ -93,11 +94,12 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
     """
     known = np.isfinite(first.values) & np.isfinite(other.values)
     things, rise = _things(first.heights, other.heights, pixel)
+    intervals = np.hypot(first.half_widths, other.half_widths)
+    things = _looking_other(things, rise, first, other, intervals)
     beside = cv2.dilate(things.astype(np.uint8), np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0
     still = known & ~beside
     difference = np.where(known, other.values - first.values, np.nan)
     shift = float(np.median(difference[still])) if still.any() else 0.0
-    intervals = np.hypot(first.half_widths, other.half_widths)
     ratios = np.abs(difference - shift)[still] / np.maximum(intervals[still], 1e-9)
     factor = max(_LEAST_FACTOR, _NORMAL * _MAD * float(np.median(ratios))) if still.any() else 1.0
     uncertainties = np.where(known, factor * intervals, np.nan)
@@ -113,7 +115,7 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
         [
             _change("new" if sign > 0 else "gone", mask, difference - shift, uncertainties, rise)
             for sign in (1, -1)
-            for mask in _regions(things & (sign * rise > 0), things)
+            for mask in _regions(things & (sign * rise > 0), things, joined=1)
         ]
     )
     found = sorted([*changed, *moved], key=lambda one: -int(one.mask.sum()))
@@ -131,10 +133,45 @@ def _things(first: Array, other: Array, pixel: float) -> tuple[NDArray[np.bool_]
     scatter = _MAD * float(np.median(np.abs(rise[both])))
     least = max(_HEIGHT_PIXELS * pixel, _HEIGHT_SCATTERS * scatter)
     away = np.where(both, _beyond(np.where(both, first, np.nan), first + rise), 0.0)
-    core = _opened(np.abs(away) > least)
-    _, labels = cv2.connectedComponents(_opened(np.abs(away) > _LOW_PART * least).astype(np.uint8))
-    whole = np.isin(labels, np.unique(labels[core & (labels > 0)]))
-    return whole, rise
+    return _opened(np.abs(away) > least), rise
+
+
+def _looking_other(
+    things: NDArray[np.bool_], rise: Array, first: DatedMap, other: DatedMap, intervals: Array
+) -> NDArray[np.bool_]:
+    """The things whose values or colours changed otherwise than those around them."""
+    changes = [other.values - first.values]
+    if first.photograph is not None and other.photograph is not None:
+        changes += list((other.photograph - first.photograph).transpose(2, 0, 1))
+    kept = np.zeros_like(things)
+    for sign in (1, -1):
+        count, labels = cv2.connectedComponents((things & (sign * rise > 0)).astype(np.uint8))
+        for number in range(1, count):
+            part = _around(labels == number)
+            inside = labels[part] == number
+            ring = (cv2.dilate(inside.astype(np.uint8), np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0) & ~things[part]
+            contrasts = [_contrast(change[part], inside, ring) for change in changes]
+            interval = np.nanmedian(intervals[part][inside]) if np.isfinite(intervals[part][inside]).any() else np.inf
+            kept[part] |= inside & (contrasts[0] > _CORE * interval / 2 or max(contrasts[1:], default=0) > _LOOKS_OTHER)
+    return kept
+
+
+def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """The rows and columns of a mask, and some beside it."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return (
+        slice(max(0, rows[0] - 2 * _BESIDE), rows[-1] + 2 * _BESIDE + 1),
+        slice(max(0, columns[0] - 2 * _BESIDE), columns[-1] + 2 * _BESIDE + 1),
+    )
+
+
+def _contrast(change: Array, inside: NDArray[np.bool_], ring: NDArray[np.bool_]) -> float:
+    """By how much more a change inside differs from that around than those around do: parts may be warmer and colder."""
+    parts = [change[mask & np.isfinite(change)] for mask in (inside, ring)]
+    if not all(map(len, parts)):
+        return 0.0
+    within, around = (float(np.median(np.abs(part - np.median(parts[1])))) for part in parts)
+    return within - around
 
 
 def _opened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -160,10 +197,10 @@ def _outside(values: Array, others: Array) -> Array:
     return away
 
 
-def _regions(mask: NDArray[np.bool_], core: NDArray[np.bool_]) -> Iterator[NDArray[np.bool_]]:
+def _regions(mask: NDArray[np.bool_], core: NDArray[np.bool_], joined: int = _JOINED) -> Iterator[NDArray[np.bool_]]:
     """Connected parts of a mask, with what is a little apart, that have a few pixels of the core."""
-    joined = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((_JOINED, _JOINED), np.uint8))
-    count, labels, facts, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((joined, joined), np.uint8))
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     cores = np.bincount(labels[core & mask], minlength=count)
     for number in range(1, count):
         if cores[number] >= _FEWEST_PIXELS:

@@ -42,7 +42,8 @@ class DatedMap:
     half_widths: Array
     """Half of their 95% intervals."""
     heights: Array
-    """Height of what is seen [map units]."""
+    """Height of the spectrum's own surface [map units]. Shadows that moved do not change it, as they do that of
+    photographs."""
     photograph: NDArray[np.float32] | None
     """Colours in [0, 1], [H, W, 3]; None where the run has none."""
 
@@ -51,8 +52,8 @@ class DatedMap:
 def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None) -> DatedMap:
     """Render a date.
 
-    A cold surface may be as dark as what lies behind the scene, and training leaves it transparent there. The
-    photographs' surface counts then, and an interval is that of most of the map.
+    A cold surface may be as dark as what lies behind the scene, and training leaves it transparent there. Then values
+    count where photographs have a surface, with the usual interval of the map, and no height is known.
 
     Args:
         date: The date.
@@ -68,12 +69,12 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
     for part, *place in _parts(own):
         at, view = tuple(place), part.view(0, 0, part.width, part.height, run.device)
         rendered = run.model.render(dict.fromkeys((spectrum, leading), view), sh_degree=run.sh_degree)
-        depth = run.model.render_depth(leading, view).cpu().numpy()
-        covered = torch.maximum(rendered.alphas[spectrum], rendered.alphas[leading])[..., 0].cpu().numpy()
-        there = (covered >= LEAST_COVER) & (depth > 0)
+        depth = run.model.render_depth(spectrum, view).cpu().numpy()
+        cover = {name: rendered.alphas[name][..., 0].cpu().numpy() >= LEAST_COVER for name in (spectrum, leading)}
+        there = cover[spectrum] | cover[leading]
         shown = scale.value(pixel_intensity(rendered.images[spectrum].clamp(0, 1), scale)).cpu().numpy()
         values[at] = np.where(there, shown, np.nan)
-        heights[at] = np.where(there, part.top - depth * own.frame.scale, np.nan)
+        heights[at] = np.where(cover[spectrum] & (depth > 0), part.top - depth * own.frame.scale, np.nan)
         if there.any():
             half_widths[at] = np.where(there, certainty.of_view(view, values[at]).half_width, np.nan)
         if photographs is not None:

@@ -27,8 +27,13 @@ _COARSE: Sequence[Stage] = (
     (UNKNOWNS[:3], ((10, 4.0),) * 4),
     (_POSE, ((10, 4.0),) * 5 + ((6, 2.0),) * 4 + ((3, 0.8),) * 4),
 )
-_ADJUSTED = ((6, 2.5),) * 2 + ((4, 1.5),) * 3 + ((3, 0.8),) * 4
+_QUICKLY = ((8, 3.0),) * 2 + ((6, 2.0),) * 3 + ((4, 1.2),) * 2
+_ADJUSTED = ((6, 2.5),) * 3 + ((4, 1.5),) * 4 + ((3, 0.8),) * 5
 """Search range and robust scale of each step of the adjustment, as in ``edge_alignment.STAGES``."""
+_LENGTHS = (0.85, 0.92, 1.0, 1.09, 1.18, 1.28)
+"""Times the focal length that correlates best, from which an adjustment begins."""
+_ADJUSTED_FOR_LENS = 24
+"""Images by which one of them is chosen."""
 _NEAR_BY_GPS = 6
 """Photographs whose directions are tried where GPS has images: those of strips to and fro, and oblique ones."""
 _STRAIGHT = 0.85
@@ -39,6 +44,7 @@ _EDGES_OF = 3
 """Photographs whose edges an image is aligned with."""
 _ASKED = 4
 """Pieces that tell the focal length, each by its best trial."""
+_ROUNDS = 2
 _TRIED = 2
 """Best trials of a piece whose images are aligned."""
 _ABOVE_CHANCE = 1.35
@@ -145,27 +151,28 @@ def placed_images(
     height, width = slopes[0].shape[:2]
     fields = [edge_field(field) for field in slopes]
     pieces = _pieces(gps)
-    focal_length = _focal_length(photographs, fields, gps, pieces, width, height)
-    lens = RigCamera.looking_along(width, height, focal_length)
+    lens = RigCamera.looking_along(width, height, _focal_length(photographs, fields, gps, pieces, width, height))
     places: dict[int, Place] = {}
-    with progress_bar("places", 2 * len(slopes)) as advance:
-        for _ in range(2):
-            known = {number: gps[number] - place.centre for number, place in places.items() if gps[number] is not None}
-            offset = np.median(list(known.values()), axis=0) if known else np.zeros(3)
+    with progress_bar("places", _ROUNDS * len(slopes)) as advance:
+        for again in range(_ROUNDS):
+            errors = list(gps_errors(places, gps).values())
+            offset = np.median(errors, axis=0) if errors else np.zeros(3)
             moved = [None if place is None else place - offset for place in gps]
             for piece in pieces:
                 if any(number not in places for number in piece):
-                    trials = _trials(photographs, {n: fields[n] for n in piece}, moved, width, height, focal_length)
+                    trials = _trials(photographs, {n: fields[n] for n in piece}, moved, lens)
                     found = max(
                         (_each(photographs, slopes, piece, moved, *trial, lens) for trial in trials[:_TRIED]),
                         key=lambda one: sum(place.above_chance for place in one.values()),
                     )
                     places |= {number: place for number, place in found.items() if number not in places}
                 advance(len(piece))
-    good = _sound(places, gps)
-    if good:
-        lens, good = _adjusted(photographs, slopes, good, lens)
-    return Placement(lens, _sound(good, gps))
+            if places:
+                if not again:
+                    lens, places = _with_other_lens(photographs, slopes, places, lens)
+                lens, places = _adjusted(photographs, slopes, places, lens, _ADJUSTED)
+                places = _sound(places, gps)
+    return Placement(lens, places)
 
 
 def _pieces(gps: Sequence[Array | None]) -> list[list[int]]:
@@ -190,9 +197,7 @@ def _trials(
     photographs: Photographs,
     fields: Mapping[int, NDArray[np.complex64]],
     gps: Sequence[Array | None],
-    width: int,
-    height: int,
-    focal_length: float,
+    lens: RigCamera,
 ) -> list[tuple[float, Array, Array | None]]:
     """Score and rotation of all trials for a piece, the best first; and the place, where GPS does not say it."""
     places = [place for place in (gps[number] for number in fields) if place is not None]
@@ -209,7 +214,7 @@ def _trials(
             if (centre := own if own is not None else gps[image]) is not None
         )
         for angle in QUARTERS:
-            score, camera = best_shift(edges, dict(fields), width, height, focal_length, angle)
+            score, camera = best_shift(edges, dict(fields), lens.width, lens.height, lens.lens[0], angle)
             found.append((score, camera.rotation @ rotation, own))
     return sorted(found, key=lambda trial: -trial[0])
 
@@ -230,8 +235,9 @@ def _focal_length(
     scores = np.zeros(len(lengths))
     with progress_bar("focal length", len(lengths)) as advance:
         for number, f in enumerate(lengths):
+            lens = RigCamera.looking_along(width, height, f)
             scores[number] = sum(
-                _trials(photographs, {i: fields[i] for i in piece}, gps, width, height, f)[0][0] for piece in asked
+                _trials(photographs, {i: fields[i] for i in piece}, gps, lens)[0][0] for piece in asked
             )
             advance(1)
     return lengths[int(scores.argmax())]
@@ -266,35 +272,70 @@ def _adjusted(
     slopes: Sequence[NDArray[np.float32]],
     places: Mapping[int, Place],
     lens: RigCamera,
+    windows: Sequence[tuple[float, float]],
+    *,
+    fixed_lens: bool = False,
 ) -> tuple[RigCamera, dict[int, Place]]:
     """All poses and the lens together: Gauss-Newton steps, with the poses eliminated (Schur complement)."""
     numbers = list(places)
     cameras = {n: (places[n].rotation, places[n].centre) for n in numbers}
     fields = [slopes[n] for n in numbers]
     at_rest = replace(lens, rotation=np.eye(3), translation=np.zeros(3))
-    with progress_bar("adjustment", len(_ADJUSTED)) as advance:
-        for reach, scale in _ADJUSTED:
-            edges = joined(
-                photographs.seen_from(photographs.near(*cameras[n]), *cameras[n], frame)
-                for frame, n in enumerate(numbers)
-            )
-            frame, rows, offsets, weights = matched_rows(at_rest, edges, fields, reach, scale)
-            steps, of_lens = _solved(frame, rows, offsets, weights, len(numbers), at_rest.width)
-            at_rest = at_rest.moved(np.concatenate([np.zeros(6), of_lens]))
-            for step, n in zip(steps, numbers):
-                rotation, centre = cameras[n]
-                turned = cv2.Rodrigues(np.ascontiguousarray(step[:3]))[0] @ rotation
-                cameras[n] = turned, centre - turned.T @ step[3:]
-            advance(1)
-    edges = joined(
-        photographs.seen_from(photographs.near(*cameras[n]), *cameras[n], frame) for frame, n in enumerate(numbers)
-    )
-    met = meetings(at_rest, edges, fields)
+
+    def seen() -> EdgePoints:
+        return joined(
+            photographs.seen_from(photographs.near(*cameras[n]), *cameras[n], frame) for frame, n in enumerate(numbers)
+        )
+
+    for reach, scale in windows:
+        frame, rows, offsets, weights = matched_rows(at_rest, seen(), fields, reach, scale)
+        steps, of_lens = _solved(frame, rows, offsets, weights, len(numbers), at_rest.width, fixed_lens)
+        at_rest = at_rest.moved(np.concatenate([np.zeros(6), of_lens]))
+        for step, n in zip(steps, numbers):
+            rotation, centre = cameras[n]
+            turned = cv2.Rodrigues(np.ascontiguousarray(step[:3]))[0] @ rotation
+            cameras[n] = turned, centre - turned.T @ step[3:]
+    met = meetings(at_rest, seen(), fields)
     return at_rest, {n: Place(*cameras[n], met[frame]) for frame, n in enumerate(numbers) if frame in met}
 
 
+def _with_other_lens(
+    photographs: Photographs,
+    slopes: Sequence[NDArray[np.float32]],
+    places: Mapping[int, Place],
+    lens: RigCamera,
+) -> tuple[RigCamera, dict[int, Place]]:
+    """The focal length by which most edges meet, each image moved back by what it magnifies more.
+
+    Of flat ground, a longer lens from farther away makes the same picture: an adjustment alone does not get from one to
+    the other past the edges of roofs.
+    """
+    some = dict(list(places.items())[:: -(-len(places) // _ADJUSTED_FOR_LENS)])
+    found = []
+    for factor in _LENGTHS:
+        other = replace(lens, lens=lens.lens * np.array([factor, 1, 1, 1, 1]))
+        moved = {number: _moved_back(photographs, place, factor) for number, place in some.items()}
+        made = _adjusted(photographs, slopes, moved, other, _QUICKLY)
+        found.append((sum(place.met.near - place.met.by_chance for place in made[1].values()), factor, made[0]))
+    _, factor, other = max(found, key=lambda one: one[0])
+    return other, {number: _moved_back(photographs, place, factor) for number, place in places.items()}
+
+
+def _moved_back(photographs: Photographs, place: Place, factor: float) -> Place:
+    """A place from which a lens that is longer by a factor sees most edges as large."""
+    near = photographs.near(place.rotation, place.centre, 1)
+    depth = float(np.median(photographs.seen_from(near, place.rotation, place.centre).points[:, 2]))
+    return replace(place, centre=place.centre - (factor - 1) * depth * place.rotation[2])
+
+
 def _solved(
-    frame: NDArray[np.int64], rows: Array, offsets: Array, weights: Array, count: int, width: int
+    frame: NDArray[np.int64],
+    rows: Array,
+    offsets: Array,
+    weights: Array,
+    count: int,
+    width: int,
+    fixed_lens: bool = False,
 ) -> tuple[Array, Array]:
     """Steps of the poses [count, 6] and of the lens [5], of least weighted squares."""
     spreads = np.array([0.3, 0.04 * width, 0.04 * width, 0.6, 0.4])  # of the lens; images say far more
@@ -308,8 +349,14 @@ def _solved(
         inverses[number], mixed[number], rights[number] = np.linalg.inv(damped), normal[:6, 6:], side[:6]
         of_lens += normal[6:, 6:] - mixed[number].T @ inverses[number] @ mixed[number]
         right += side[6:] - mixed[number].T @ inverses[number] @ rights[number]
-    lens = np.linalg.solve(of_lens, right)
+    lens = np.zeros(5) if fixed_lens else np.linalg.solve(of_lens, right)
     return np.einsum("nij,nj->ni", inverses, rights - mixed @ lens), lens
+
+
+def gps_errors(places: Mapping[int, Place], gps: Sequence[Array | None]) -> dict[int, Array]:
+    """By how much GPS misses the places of images, [3] each."""
+    stated = {number: gps[number] for number in places}
+    return {number: place - places[number].centre for number, place in stated.items() if place is not None}
 
 
 def _sound(places: Mapping[int, Place], gps: Sequence[Array | None]) -> dict[int, Place]:
@@ -319,7 +366,7 @@ def _sound(places: Mapping[int, Place], gps: Sequence[Array | None]) -> dict[int
     usual = float(np.median([place.above_chance for place in places.values()]))
     least = max(_ABOVE_CHANCE, 1 + _OF_USUAL * (usual - 1))
     good = {number: place for number, place in places.items() if place.above_chance >= least}
-    off = {number: gps[number] - place.centre for number, place in good.items() if gps[number] is not None}
+    off = gps_errors(good, gps)
     if len(off) < 4:
         return good
     apart = np.array(list(off.values())) - np.median(list(off.values()), axis=0)

@@ -13,7 +13,7 @@ from thermosplat.prepare.registration.rig_model import is_photograph, with_unpai
 from thermosplat.prepare.registration.stereo_edges import photograph_edges
 from thermosplat.prepare.registration.thermal_edges import slopes
 from thermosplat.prepare.registration.thermal_images import thermal_images
-from thermosplat.prepare.registration.unpaired import Photographs, Placement, placed_images
+from thermosplat.prepare.registration.unpaired import Photographs, Placement, gps_errors, placed_images
 from thermosplat.prepare.structure.positions import east_north_up
 from thermosplat.prepare.structure.sfm import write_model
 from thermosplat.prepare.structure.unregistered import some
@@ -89,7 +89,7 @@ def _said(found: Placement, rows: list[FrameRow], gps: list[Array | None]) -> li
         f"among the {LEADING} images; edges meet {ratio:.1f} times as often as by chance, in the median.",
         f"Thermal lens: focal length {f:.1f} px, principal point {cx:.1f}, {cy:.1f}, distortion {k1:.3f}, {k2:.3f}.",
     ]
-    off = [gps[number] - place.centre for number, place in found.places.items() if gps[number] is not None]
+    off = list(gps_errors(found.places, gps).values())
     if off:
         common = np.median(off, axis=0)
         apart = float(np.median(np.linalg.norm(off - common, axis=1)))
