@@ -18,6 +18,7 @@ COMMANDS = {
     "export": "thermosplat.cli.export",
     "measure": "thermosplat.cli.measure",
     "report": "thermosplat.cli.report",
+    "compare": "thermosplat.cli.compare",
     "benchmark": "thermosplat.cli.benchmark",
 }
 """Module of each command, whose ``main`` takes the other words."""

@@ -107,3 +107,18 @@ def test_a_training_view_is_not_compared_with_itself(scene) -> None:
     with torch.no_grad():
         s, _ = certainty._evidence(view, np.full(image.shape[:2], 100.0), 0.0, 0.0)
     assert np.nanmedian(s) > 50  # its neighbours have 10 to 30 °C
+
+
+def test_a_view_of_parallel_rays_has_intervals_like_a_cameras(scene) -> None:
+    """A map of the same surface from the same place is about as sure as the picture."""
+    certainty = scene.certainties["thermal"]
+    taken = view_tensors(scene.capture.train[0].views["thermal"], None, "cpu")
+    depth = scene.model.render_depth("thermal", taken)
+    focal = taken.K.clone()
+    focal[[0, 1], [0, 1]] /= float(depth[depth > 0].median())
+    parallel = replace(taken, K=focal, orthographic=True)
+    widths = []
+    for view in (taken, parallel):
+        shown = scene.model.render({"thermal": view}, sh_degree=1).images["thermal"].mean(dim=-1).detach().numpy()
+        widths.append(np.nanmedian(certainty.of_view(view, shown.astype(np.float32)).half_width))
+    assert 0.5 < widths[1] / widths[0] < 2.0

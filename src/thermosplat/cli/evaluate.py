@@ -47,6 +47,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _evaluate(arguments: EvalArguments) -> int:
     with importing():
+        from thermosplat.evaluation.coherence import coherence
         from thermosplat.evaluation.held_out import file_stem
         from thermosplat.evaluation.held_out_poses import evaluate_refined, unrefined_sentences
         from thermosplat.evaluation.labelled_regions import write_regions
@@ -80,11 +81,17 @@ def _evaluate(arguments: EvalArguments) -> int:
     for earlier in strips.glob("*.png"):
         if earlier.name not in shown:  # of frames that were held out at another time
             earlier.unlink()
+    coherent = coherence(loaded.model, judged.capture, sh_degree=loaded.sh_degree, device=loaded.device)
     numbers = run.stats / f"eval_{name}.json"
     data = data_from_anywhere(arguments.data or loaded.config.data)
     recalculated = {"recalculated": temperatures.text} if temperatures.text else {}
-    run.write_json(numbers, {**metrics, **recalculated, "steps": loaded.step, "data": data})
+    run.write_json(numbers, {**metrics, **recalculated, "coherence": coherent, "steps": loaded.step, "data": data})
     _print_metrics(loaded, metrics, temperatures.text)
+    for pair, found in coherent.items():
+        print(
+            f"Coherence of {pair}: depths {found['depth_difference']:.1%} apart in the median, edges of depths agree "
+            f"by {found['depth_edges']:.0%}, of images by {found['image_edges']:.0%}."
+        )
     for sentence in unrefined_sentences(metrics):
         print(sentence)
     is_usual = loaded.is_own(capture) and not temperatures.text

@@ -35,8 +35,8 @@ from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.reprojection import (
     HIDDEN,
+    camera_points,
     coarse_view,
-    pixel_rays,
     pose_distances,
     sampled,
     seen_from,
@@ -238,7 +238,7 @@ class Certainty:
         seen = torch.zeros_like(depth)
         facing = torch.zeros_like(depth)
         squares, compared = torch.zeros_like(depth), torch.zeros_like(depth)
-        points = pixel_rays(view) * depth[..., None]
+        points = camera_points(view, depth)
         for rank, index in enumerate(order):
             camera, taken, taken_depth = self._taken(index)
             positions, depths = seen_from(camera, view, depth)
@@ -292,7 +292,7 @@ class Certainty:
 def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
     """Unit normals of what a view sees, in camera axes, [H, W, 3]."""
     smooth = torch.nn.functional.avg_pool2d(depth[None, None], 5, 1, 2, count_include_pad=False)[0, 0]
-    points = pixel_rays(view) * smooth[..., None]
+    points = camera_points(view, smooth)
     down, across = torch.gradient(points, dim=(0, 1))
     normal = torch.linalg.cross(across, down)
     return normal / normal.norm(dim=-1, keepdim=True).clamp(min=1e-20)
@@ -300,7 +300,9 @@ def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
 
 def _small(values: Array, noise: float, depth: Tensor, view: ViewTensors, sensor: ViewTensors) -> NDArray[np.bool_]:
     """Where a value stands out of a surrounding of 3x3 pixels of the sensor, by more than its noise explains."""
-    size = 3 * float(view.K[0, 0] / view.width) / float(sensor.K[0, 0] / sensor.width) * view.width / sensor.width
+    seen = depth[depth > 0]
+    away = float(seen.median()) if view.orthographic and len(seen) else 1.0
+    size = 3 * away * float(view.K[0, 0]) / float(sensor.K[0, 0])
     window = min(max(3, 2 * round(size / 2) + 1), 5)  # OpenCV's largest of floats
     filled = np.nan_to_num(values, nan=float(np.nanmedian(values))).astype(np.float32)
     apart = np.abs(filled - cv2.medianBlur(filled, window))

@@ -73,6 +73,17 @@ def distances(view: ViewTensors, depth: Tensor) -> Tensor:
     return torch.where(depth > 0, along, torch.nan)
 
 
+def camera_points(view: ViewTensors, depth: Tensor) -> Tensor:
+    """What a view sees, in camera axes, [H, W, 3].
+
+    Args:
+        view: The camera, of perspective or of parallel rays.
+        depth: z-depth, [H, W].
+    """
+    rays = pixel_rays(view)
+    return torch.cat([rays[..., :2], depth[..., None]], dim=-1) if view.orthographic else rays * depth[..., None]
+
+
 def scene_points(view: ViewTensors, depth: Tensor) -> Tensor:
     """The points of the scene that a view sees, [H, W, 3], in the scene's frame.
 
@@ -80,12 +91,7 @@ def scene_points(view: ViewTensors, depth: Tensor) -> Tensor:
         view: The camera.
         depth: z-depth, [H, W].
     """
-    rays = pixel_rays(view)
-    if view.orthographic:
-        in_camera = torch.cat([rays[..., :2], depth[..., None]], dim=-1)
-    else:
-        in_camera = rays * depth[..., None]
-    return (in_camera - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
+    return (camera_points(view, depth) - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
 
 
 def seen_from(taken: ViewTensors, view: ViewTensors, depth: Tensor) -> tuple[Tensor, Tensor]:
@@ -93,14 +99,14 @@ def seen_from(taken: ViewTensors, view: ViewTensors, depth: Tensor) -> tuple[Ten
 
     Args:
         taken: The other one.
-        view: The view, a perspective camera.
+        view: The view.
         depth: z-depth of its pixels, [H, W].
 
     Returns:
         Positions [px], [H, W, 2], NaN behind the camera; depths there, [H, W].
     """
     between = taken.viewmat.double() @ torch.linalg.inv(view.viewmat.double())
-    points = (pixel_rays(view) * depth[..., None]) @ between[:3, :3].T.float() + between[:3, 3].float()
+    points = camera_points(view, depth) @ between[:3, :3].T.float() + between[:3, 3].float()
     depths = points[..., 2]
     slopes = bent(points[..., :2] / depths.clamp(min=1e-9)[..., None], taken)
     positions = slopes * taken.K.diagonal()[:2] + taken.K[:2, 2]

@@ -1,6 +1,6 @@
 """The frame of a map: where east, north and up are in the world of a capture, and what part of it the map shows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,17 @@ class MapFrame:
         if self.offset is not None:
             centred = centred - self.offset
         return centred @ self.rotation / self.scale
+
+    def of(self, inner: "MapFrame") -> "MapFrame":
+        """The map frame of another scene.
+
+        Args:
+            inner: From that scene to the one that this frame is of.
+        """
+        offset = np.zeros(3) if inner.offset is None else inner.offset
+        return replace(
+            self, rotation=self.rotation @ inner.rotation, scale=self.scale * inner.scale, offset=self.to_map(offset)
+        )
 
 
 def camera_centers(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:

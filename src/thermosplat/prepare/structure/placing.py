@@ -175,12 +175,18 @@ def robust_similarity(centres: Array, places: Array, deviations: Array) -> Fit |
     matrix = min(starts, key=lambda start: float(np.median(apart(start) / deviations)))
     for _ in range(_ROUNDS):
         weights = np.where(far(matrix) < 1.0, (1.0 - far(matrix) ** 2) ** 2, 0.0) / deviations**2
-        matrix = _weighted_similarity(centres, places, weights)
+        matrix = similarity_by_weights(centres, places, weights)
     return Fit(pycolmap.Sim3d(matrix), apart(matrix), far(matrix) >= 1.0)
 
 
-def _weighted_similarity(source: Array, target: Array, weights: Array) -> Array:
-    """[3, 4] of least weighted squares (Umeyama 1991)."""
+def similarity_by_weights(source: Array, target: Array, weights: Array) -> Array:
+    """The similarity [3, 4] of least weighted squares (Umeyama 1991).
+
+    Args:
+        source: Points [N, 3].
+        target: Where they are to be, [N, 3].
+        weights: Of each, [N], not all 0.
+    """
     weights = weights / weights.sum()
     source_middle, target_middle = weights @ source, weights @ target
     a, b = source - source_middle, target - target_middle

@@ -1,0 +1,100 @@
+"""A comparison of several dates, from scenes in one frame to a page with tables and maps."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from thermosplat.comparison.changes import SEASON, Changes, find_changes
+from thermosplat.comparison.dated_map import Date, dated_map
+from thermosplat.comparison.files import entries, write_difference, write_page, write_tables
+from thermosplat.comparison.over_time import over_time
+from thermosplat.export.maps.georeference import located_frame
+from thermosplat.export.maps.geotiff import rasterio_module
+from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
+from thermosplat.export.maps.orthomosaic import MapGrid
+from thermosplat.spectra import unit_label
+
+_PIXELS = 1500
+"""Along the longer side of the grid."""
+
+
+def compare(
+    dates: Sequence[Date],
+    spectrum: str,
+    photographs: str | None,
+    folder: Path,
+    *,
+    pixel: float | None = None,
+    extent: tuple[float, float, float, float] | None = None,
+    sentences: Sequence[str] = (),
+) -> list[str]:
+    """Compare all later dates with the first, and write what was found.
+
+    Args:
+        dates: Scenes in the frame of the first.
+        spectrum: Whose values are compared.
+        photographs: The spectrum of the photographs; None: there is none.
+        folder: Where to write.
+        pixel: Side of a pixel [map units]; None: a 1500th of the longer side.
+        extent: West, south, east, north; None: what the first capture saw.
+        sentences: What was said of the frame, for the page.
+
+    Returns:
+        What to tell people.
+
+    Raises:
+        UserError: The extent is impossible, rasterio is missing, or a file cannot be written.
+    """
+    rasterio_module()  # to say that it is missing before anything is rendered
+    grid = _grid(dates[0], photographs or spectrum, pixel, extent)
+    maps = [dated_map(date, grid, spectrum, photographs) for date in dates]
+    changes = [find_changes(maps[0], later, grid.pixel) for later in maps[1:]]
+    unit, length = str(dates[0].run.scales[spectrum].measured_unit), "m" if grid.frame.crs else "units"
+    said, files, stated = [], [], list[dict[str, Any]]()
+    for date, later, found in zip(dates[1:], maps[1:], changes):
+        line = _said(date.name, dates[0].name, found, unit)
+        said.append(line)
+        stated.append({"name": date.name, "said": line, "shift": found.shift, "changes": entries(found, grid)})
+        name = re.sub(r"[^\w.-]+", "_", date.name)
+        files += write_difference(folder, grid, (maps[0], later), found, unit, name)
+    rows = over_time(dates, maps, changes)
+    content = {
+        "first": dates[0].name,
+        "spectrum": spectrum,
+        "unit": unit,
+        "length_unit": length,
+        "crs": grid.frame.crs,
+        "pixel": grid.pixel,
+        "sentences": list(sentences),
+        "dates": stated,
+    }
+    write_tables(folder, content, rows, [date.name for date in dates])
+    page = write_page(folder, dates, maps, changes, content, rows)
+    return [*said, f"Look at {page}; {', '.join(map(str, files))}"]
+
+
+def _grid(first: Date, leading: str, pixel: float | None, extent: tuple[float, float, float, float] | None) -> MapGrid:
+    """The grid in the frame of the first date's scene."""
+    capture, geo = first.capture, first.run.geo or first.capture.geo
+    frame = local_frame(capture, leading) if geo is None else located_frame(geo, capture.placement)
+    extent = extent or map_extent(frame, capture)
+    if pixel is None:
+        pixel = max(extent[2] - extent[0], extent[3] - extent[1]) / _PIXELS
+    top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
+    return MapGrid.covering(frame, extent, pixel, top)
+
+
+def _said(name: str, first: str, changes: Changes, unit: str) -> str:
+    counts = Counter(one.kind for one in changes.found)
+    listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
+    season = (
+        f" {changes.things_share:.0%} of the surface has another height: leaves or snow may hide what changed."
+        if changes.things_share > SEASON
+        else ""
+    )
+    return (
+        f"From {first} to {name} all values changed by {changes.shift:+.2f} {unit_label(unit)}, as weather does. "
+        f"Beyond that, places that changed: {listed}.{season}"
+    )

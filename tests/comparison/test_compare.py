@@ -1,0 +1,86 @@
+"""A field at two dates, rendered from above, compared, and written as files."""
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from field_scene import HIGH, LOW, celsius_at, field_model
+from thermosplat.comparison.compare import compare
+from thermosplat.comparison.dated_map import Date
+from thermosplat.export.maps.map_frame import MapFrame
+from thermosplat.scene.gaussians import SH_C0
+from thermosplat.scene.model import SceneModel
+
+rasterio = pytest.importorskip("rasterio")
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def date(name: str, path: Path, model: SceneModel, capture: Any, to_first: MapFrame) -> Date:
+    """A date whose intervals are 0.4 °C either way."""
+    sure = SimpleNamespace(of_view=lambda view, shown: SimpleNamespace(half_width=np.full(shown.shape, 0.4)))
+    run: Any = SimpleNamespace(
+        model=model,
+        scales=capture.scales,
+        sh_degree=0,
+        device=torch.device("cpu"),
+        geo=None,
+        directory=SimpleNamespace(path=path),
+        certainties=lambda capture: {"thermal": sure},
+    )
+    return Date(name, run, capture, to_first)
+
+
+def warmer_but_for_a_place(model: SceneModel) -> SceneModel:
+    """2 °C warmer everywhere, and the warm square as it was."""
+    for name in model.spectra:
+        gaussians = model.gaussians(name)
+        east, north = gaussians.means[:, 0].numpy(), gaussians.means[:, 1].numpy()
+        square = (east > 0.2) & (east < 1.0) & (north > 0.3) & (north < 1.1)
+        change = torch.tensor(np.where(square, 0.0, 2.0) / (HIGH - LOW) / SH_C0, dtype=torch.float32)
+        gaussians.sh0.data += change[:, None, None]
+    return model
+
+
+@torch.no_grad()
+def test_a_place_of_known_area_in_another_scenes_frame(tmp_path: Path) -> None:
+    """The shift and the place are found though the second scene is turned; tables, maps, points and the page say so."""
+    model, capture = field_model(np.eye(3))
+    other, _ = field_model(np.eye(3))
+    other = warmer_but_for_a_place(other)
+    for name in other.spectra:  # the other scene has axes of its own
+        other.gaussians(name).means.data = other.gaussians(name).means @ torch.tensor(TURN, dtype=torch.float32)
+    flat = dataclasses.replace(capture, points=np.array([[-2, -1.5, 0], [2, 1.5, 0]], np.float32))
+    dates = [
+        date("march", tmp_path, model, flat, MapFrame(np.eye(3))),
+        date("june", tmp_path, other, flat, MapFrame(TURN)),
+    ]
+    said = compare(dates, "thermal", "rgb", tmp_path / "made", pixel=0.04, extent=(-1.8, -1.3, 1.8, 1.3))
+    assert "1 colder" in said[0]
+    content = json.loads((tmp_path / "made" / "changes.json").read_text())
+    (found,) = content["dates"]
+    assert found["shift"] == pytest.approx(2.0, abs=0.1)
+    (change,) = found["changes"]
+    assert (change["east"], -change["north"]) == pytest.approx((0.6, 0.7), abs=0.05)  # its cameras stand on their heads
+    assert change["area"] == pytest.approx(0.64, rel=0.25)
+    assert change["difference"] == pytest.approx(-2.0, abs=0.3)
+    rows = list(csv.reader((tmp_path / "made" / "over_time.csv").open()))
+    assert rows[0] == ["what", "march", "june"]
+    assert float(rows[1][1]) == pytest.approx(float(celsius_at(np.array(0.6), np.array(0.7))), abs=0.5)
+    assert float(rows[1][2]) == pytest.approx(float(rows[1][1]), abs=0.3)
+    with rasterio.open(tmp_path / "made" / "difference_june.tif") as file:
+        assert file.units == ("celsius", "celsius")
+        assert np.nanmin(file.read(1)) == pytest.approx(-2.0, abs=0.3)
+    page = (tmp_path / "made" / "index.html").read_text()
+    assert all((tmp_path / "made" / name).is_file() for name in _pictures(page))
+    assert (tmp_path / "made" / "difference_june.ply").read_bytes().startswith(b"ply\n")
+
+
+def _pictures(page: str) -> list[str]:
+    return [part.split('"')[0] for part in page.split('src="')[1:]]
