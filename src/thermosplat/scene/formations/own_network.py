@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor, nn
 
-from thermosplat.scene.decoding_in_parts import decode_in_parts
+from thermosplat.scene.decoder import decode_in_parts
 from thermosplat.scene.formations.formation import Blended, Common, Formation
 from thermosplat.scene.gaussians import SH_C0, Gaussians, PointColors, sh_names
 from thermosplat.spectra import Spectrum
