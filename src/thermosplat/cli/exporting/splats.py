@@ -1,11 +1,14 @@
 """thermosplat-export --format ply, sog, ...: splats, fitted to the exact render."""
 
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -96,7 +99,7 @@ def _scene(
     if all(loaded.model.formations[name].exact_splats for name in names) or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=arguments.colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
-    from thermosplat.cli.exporting.fit_progress import shown_steps
+    from thermosplat.cli.exporting.splats import shown_steps
     from thermosplat.export.scene import header_comments
     from thermosplat.export.splat_fit.fitted_splats import fit_splats
     from thermosplat.novel_views.viewpoints import viewpoints
@@ -132,3 +135,32 @@ def _scene(
         comments = header_comments(loaded.model, name, loaded.scales[name], frame, colors=arguments.colors)
         scene[name] = (frame.splats(fit.splats), comments)
     return scene, sources
+
+
+LINE_EVERY = 10.0
+"""Seconds between lines."""
+
+
+def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] = time.monotonic) -> Iterable[int]:
+    """Steps to be done one after the other, shown to whoever waits for them.
+
+    Args:
+        steps: All of them.
+        name: The spectrum whose splats are fitted.
+        clock: Seconds.
+    """
+    console = SafeConsole()
+    if not console.is_terminal:
+        return _with_lines(steps, name, clock)
+    from rich.progress import track
+
+    return track(steps, f"Fitting {name}", console=console, transient=True)
+
+
+def _with_lines(steps: Sequence[int], name: str, clock: Callable[[], float]) -> Iterator[int]:
+    started = said = clock()
+    for done, step in enumerate(steps):
+        if clock() >= said + LINE_EVERY:
+            said = clock()
+            print(f"Fitting {name}: step {done:,} of {len(steps):,} after {said - started:.0f} s", flush=True)
+        yield step
