@@ -66,6 +66,7 @@ def capture() -> Capture:
     return dataclasses.replace(capture, train=frames, test=frames)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("name", BASELINES)
 def test_baseline_learns(name: str, tmp_path: Path, capture: Capture) -> None:
     """Thirty steps of each spectrum improve both images, with Gaussians added on the way."""
@@ -79,6 +80,7 @@ def test_baseline_learns(name: str, tmp_path: Path, capture: Capture) -> None:
     assert sorted(path.name for path in (tmp_path / "ply").iterdir()) == ["splat_rgb.ply", "splat_thermal.ply"]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("name", BASELINES)
 def test_baseline_goes_on_from_a_checkpoint(name: str, tmp_path: Path, capture: Capture) -> None:
     """Stopped in the middle, a baseline ends where it would have ended undisturbed."""

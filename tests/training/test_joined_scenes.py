@@ -158,6 +158,7 @@ def test_what_a_user_sees(tmp_path: Path, capture: Capture, capsys: pytest.Captu
     assert [path.name for path in sorted((tmp_path / "ckpts").iterdir())][-1] == "step_000020.pt"
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("passed", [5, 16, 16 + 7, 16 + 16, 16 + 18])
 def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, passed: int) -> None:
     """In the first scene, between the two, in the second, where they become one, and after that."""

@@ -89,6 +89,7 @@ def test_three_spectra_learn(tmp_path: Path, model: dict[str, Any], nir: dict[st
     assert after["thermal"]["mae_celsius"] < 0.5 * before["thermal"]["mae_celsius"]
 
 
+@pytest.mark.slow  # fewer spectra train end to end above
 def test_ten_spectra_train_from_beginning_to_end(tmp_path: Path) -> None:
     """They train, with Gaussians added, removed and reset, are judged one by one, exported, and go on to the bit."""
     config = toy_run_config(12, model={"feature_dim": 12}, spectra=ten_spectra())
