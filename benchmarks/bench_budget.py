@@ -26,7 +26,7 @@ from thermosplat.config.files import load_config
 from thermosplat.config.run_schedule import in_steps
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture
-from thermosplat.method_matrix.render_speed import frames_per_second
+from thermosplat.method_matrix.cell_run import frames_per_second
 from thermosplat.rasterizer.warp_start import start_warp
 from thermosplat.runs.atomic_writes import write_atomically, write_text
 from thermosplat.runs.run_directory import RunDirectory

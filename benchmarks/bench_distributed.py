@@ -118,7 +118,7 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
         wait(device)
         started = time.perf_counter()
         for _ in range(number):
-            trainer._train_step()
+            trainer.train_step()
         wait(device)
         return time.perf_counter() - started
 
@@ -131,7 +131,7 @@ def measured(rank: int, ranks: int, options: argparse.Namespace, count: int, fol
         memory, reserved = torch.cuda.max_memory_allocated(device), torch.cuda.memory_reserved(device)
     if rank == 0 and (options.profile or options.memory_peak):  # should what comes now fail, this is known
         print(f"{1e3 * seconds / options.steps:.2f} ms per step, {memory / 1e9:.3f} GB, {reserved / 1e9:.3f} reserved.")
-    profile = profiled_step(trainer._train_step, PROFILED, device, finer_part_of) if options.profile else None
+    profile = profiled_step(trainer.train_step, PROFILED, device, finer_part_of) if options.profile else None
     recordings, exchanged = trainer.steps.recordings, Exchanged()
     if ranks > 1:
         if recordings is not None:
@@ -167,7 +167,7 @@ def peak_tables(trainer: Trainer, device: torch.device) -> list[str]:
         trainer: Whose steps; afterwards it runs them as before.
         device: Where.
     """
-    step, recordings, tables = trainer._train_step, trainer.steps.recordings, []
+    step, recordings, tables = trainer.train_step, trainer.steps.recordings, []
     if recordings is not None:
         trainer.steps.recordings = None
         step()

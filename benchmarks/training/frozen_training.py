@@ -124,7 +124,7 @@ def run_steps(trainer: Trainer, count: int, *, waiting: bool = True) -> float:
         wait(trainer.device)
     started = time.perf_counter()
     for _ in range(count):
-        trainer._train_step()
+        trainer.train_step()
     if waiting:
         wait(trainer.device)
     return time.perf_counter() - started

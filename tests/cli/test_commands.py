@@ -105,14 +105,14 @@ def test_overwrite_starts_again(run: Run, tmp_path: Path) -> None:
 def test_ctrl_c_saves_and_resume_finishes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C ends with code 130 and a command line; that command line finishes the run without naming the capture."""
     folder = tmp_path / "run"
-    whole_step = Trainer._train_step
+    whole_step = Trainer.train_step
 
     def interrupted(trainer: Trainer) -> None:
         if trainer.state.step == 2:
             raise KeyboardInterrupt
         whole_step(trainer)
 
-    monkeypatch.setattr(Trainer, "_train_step", interrupted)
+    monkeypatch.setattr(Trainer, "train_step", interrupted)
     code, printed = run(train.main, "sample", *QUICK, "--max-steps", 4, "--result-dir", folder)
     assert code == 130
     assert f"thermosplat-train --resume {folder}" in printed

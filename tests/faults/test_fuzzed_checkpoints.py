@@ -48,7 +48,7 @@ def original(tmp_path_factory: pytest.TempPathFactory, capture: Capture) -> Path
     """A checkpoint with moments of Adam and sums of density control."""
     trainer = toy_trainer(tmp_path_factory.mktemp("original"), CONFIG, capture)
     while trainer.step < STEP:
-        trainer._train_step()
+        trainer.train_step()
     return trainer.save()
 
 
@@ -169,7 +169,7 @@ def used(run: Path, capture: Capture) -> None:
     except UserError as error:
         errors.append(error)
     try:
-        Trainer.resume(CONFIG, capture, RunDirectory.open(run))._train_step()
+        Trainer.resume(CONFIG, capture, RunDirectory.open(run)).train_step()
     except UserError as error:
         errors.append(error)
     for error in errors:

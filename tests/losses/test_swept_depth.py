@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from thermosplat.losses.swept_depth import swept_depth_loss
+from thermosplat.losses.image_terms import swept_depth_loss
 
 
 def test_mean_depth_is_drawn_to_the_target() -> None:

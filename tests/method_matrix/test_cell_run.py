@@ -65,7 +65,7 @@ def test_cell_of_three_spectra(tmp_path: Path) -> None:
 
 def test_interrupted_cell_is_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After Ctrl-C the same call does the rest only; another configuration starts again."""
-    whole_step = Trainer._train_step
+    whole_step = Trainer.train_step
     done: list[int] = []
 
     def step(trainer: Trainer) -> None:
@@ -75,7 +75,7 @@ def test_interrupted_cell_is_gone_on_with(tmp_path: Path, monkeypatch: pytest.Mo
         done.append(trainer.step)
         whole_step(trainer)
 
-    monkeypatch.setattr(Trainer, "_train_step", step)
+    monkeypatch.setattr(Trainer, "train_step", step)
     with pytest.raises(TrainingInterrupted):
         make_cell(CELL, quick_config(), tmp_path, keep_checkpoint=True)
     assert not (tmp_path / FILE_NAME).exists()

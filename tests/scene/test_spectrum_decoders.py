@@ -7,9 +7,8 @@ import torch
 from torch import nn
 
 from thermosplat.config import DecoderConfig
-from thermosplat.scene.decoder import Decoders
+from thermosplat.scene.decoder import Decoders, SpectrumDecoders
 from thermosplat.scene.formations.kinds import make_decoder
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.spectra import Spectrum
 
 RGB = Spectrum("rgb", 3, "photograph", "shared", (0, 3), "thermal")

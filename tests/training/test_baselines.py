@@ -66,6 +66,7 @@ def capture() -> Capture:
     return dataclasses.replace(capture, train=frames, test=frames)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("name", BASELINES)
 def test_baseline_learns(name: str, tmp_path: Path, capture: Capture) -> None:
     """Thirty steps of each spectrum improve both images, with Gaussians added on the way."""
@@ -79,6 +80,7 @@ def test_baseline_learns(name: str, tmp_path: Path, capture: Capture) -> None:
     assert sorted(path.name for path in (tmp_path / "ply").iterdir()) == ["splat_rgb.ply", "splat_thermal.ply"]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("name", BASELINES)
 def test_baseline_goes_on_from_a_checkpoint(name: str, tmp_path: Path, capture: Capture) -> None:
     """Stopped in the middle, a baseline ends where it would have ended undisturbed."""
@@ -87,7 +89,7 @@ def test_baseline_goes_on_from_a_checkpoint(name: str, tmp_path: Path, capture: 
     whole.train()
     half = Trainer(config, capture, RunDirectory.create(tmp_path / "half"))
     while half.step < config.max_steps // 2 + 1:
-        half._train_step()
+        half.train_step()
     half.save()
     resumed = Trainer.resume(config, capture, RunDirectory.open(tmp_path / "half"))
     resumed.train()
@@ -101,14 +103,14 @@ def test_mftg_renders_rgb_from_the_gaussians_before_fine_tuning(tmp_path: Path, 
     trainer = Trainer(short("thermalgaussian_mftg", 8), capture, RunDirectory.create(tmp_path))
     start = trainer.model.gaussians("thermal").sh0.detach().clone()
     while trainer.step < 8:
-        trainer._train_step()
+        trainer.train_step()
     rgb, thermal = (dict(trainer.model.gaussians(name).named_parameters()) for name in ("rgb", "thermal"))
     assert thermal["sh0"].shape != start.shape or not torch.equal(thermal["sh0"], start)
     assert all(torch.equal(rgb[name], thermal[name]) for name in rgb)
     assert len(trainer.state.strategies["thermal"].grad_norm_sum) == len(trainer.model.gaussians("thermal"))
     kept = {name: value.detach().clone() for name, value in rgb.items()}
     while trainer.step < 16:
-        trainer._train_step()
+        trainer.train_step()
     rgb, thermal = (dict(trainer.model.gaussians(name).named_parameters()) for name in ("rgb", "thermal"))
     assert all(torch.equal(rgb[name], kept[name]) for name in kept)
     assert thermal["sh0"].shape != kept["sh0"].shape or not torch.equal(thermal["sh0"], kept["sh0"])

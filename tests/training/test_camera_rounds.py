@@ -49,8 +49,8 @@ def test_cameras_are_found_on_a_scene_without_holes(tmp_path: Path, monkeypatch:
     starts = []
     for _ in range(3):
         starts.append([value.detach().clone() for value in start_of(trainer)])
-        trainer._train_step()
-        trainer._train_step()
+        trainer.train_step()
+        trainer.train_step()
     for found_on in starts[:2]:
         torch.testing.assert_close(found_on, start_of(usual))
     torch.testing.assert_close(starts[2][1], torch.zeros_like(starts[2][1]))  # logits of a half

@@ -22,7 +22,7 @@ STEPS = 40
 
 def _taken(trainer: Trainer) -> Trainer:
     while trainer.step < STEPS:
-        trainer._train_step()
+        trainer.train_step()
         if trainer.step % 10 == 0:
             trainer.steps.check_overflow()
     return trainer
@@ -50,7 +50,7 @@ def test_captured_batches_match_plain_ones(tmp_path: Path) -> None:
     )
     assert plain.steps.recordings is None
     assert captured.steps.recordings is not None
-    assert captured.steps.recordings._graphs
+    assert captured.steps.recordings.graphs
     _assert_alike(state_tensors(captured), state_tensors(plain))
 
 
@@ -60,7 +60,7 @@ def test_gaussians_come_and_go_between_captured_batches(tmp_path: Path) -> None:
     config = _config(True, densification=dataclasses.replace(densification, stop_step=60))
     trainer = _taken(Trainer(config, many_frames(toy_capture()), RunDirectory.create(tmp_path / "run")))
     assert trainer.steps.recordings is not None
-    assert trainer.steps.recordings._graphs
+    assert trainer.steps.recordings.graphs
     assert trainer.guard.first_bad() is None
 
 
@@ -87,7 +87,7 @@ def _divided(rank: int, ranks: int, batch: int, folder: str) -> None:
         config = _config(graph, batch_size=batch)
         trainer = _taken(Trainer(config, capture, run, team=Team(rank, ranks, device)))
         assert (trainer.steps.recordings is not None) == graph
-        assert trainer.steps.recordings is None or trainer.steps.recordings._graphs
+        assert trainer.steps.recordings is None or trainer.steps.recordings.graphs
         torch.save(state_tensors(trainer), f"{folder}/{graph}-{rank}.pt")
         trainer.steps.forget()  # NCCL does not end as long as there are recordings of its exchanges
     dist.destroy_process_group()

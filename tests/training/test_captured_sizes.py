@@ -66,7 +66,7 @@ def test_each_size_is_seen_line_by_line_and_then_captured(recorded: Recorded) ->
         factor = (1.5, 1.2, 1.0)[place // 7]
         frame = sized.at(place, lambda later: later % 4, 21, factor)
         steps.run((frame,), PLAN, kind_at(factor))
-        kept.append((len(steps._graphs), len(steps._frames)))
+        kept.append((len(steps.graphs), len(steps._frames)))
         if recorded.done[-1] == "replayed":
             ((static,),) = steps._frames.values()
             assert static.views["rgb"].width == frame.views["rgb"].width

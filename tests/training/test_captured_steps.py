@@ -75,7 +75,7 @@ def _run(path: Path, kind: str, steps: int, *, of: int | None = None, **changes:
     taken = shaken(many_frames(toy_capture(**how)), rolling)
     trainer = toy_trainer(path, config, masked(taken) if are_masked else taken)
     while trainer.step < steps:
-        trainer._train_step()
+        trainer.train_step()
     return trainer
 
 
@@ -86,7 +86,7 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
     plain = _run(tmp_path / "plain", kind, 40, graph=False, densification=still, deterministic=True)
     captured = _run(tmp_path / "captured", kind, 40, graph=True, densification=still, deterministic=True)
     assert plain.steps.recordings is None
-    assert recordings(captured)._graphs
+    assert recordings(captured).graphs
     ours, theirs = state_tensors(captured), state_tensors(plain)
     assert ours.keys() == theirs.keys()
     for name, value in theirs.items():
@@ -100,7 +100,7 @@ def test_captured_steps_match_plain_ones(tmp_path: Path, kind: str) -> None:
 def test_densification_goes_on_between_captured_steps(tmp_path: Path, kind: str) -> None:
     """Gaussians are added, removed and reset, graphs follow, and the loss falls."""
     trainer = _run(tmp_path, kind, 42)
-    assert recordings(trainer)._graphs
+    assert recordings(trainer).graphs
     assert trainer.guard.first_bad() is None
     counts = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
     assert all(strategy.grad_norm_sum.shape == (counts[name],) for name, strategy in trainer.state.strategies.items())
@@ -124,11 +124,11 @@ def test_noise_and_exposures_are_captured(tmp_path: Path) -> None:
         config = dataclasses.replace(config, device="cuda", graph=graph, densification=mcmc, loss=loss)
         trainer = toy_trainer(tmp_path / name, config, many_frames(toy_capture()))
         while trainer.step < 40:
-            trainer._train_step()
+            trainer.train_step()
         return trainer
 
     plain, captured = run("plain", False), run("captured", True)
-    assert {(work.kind.swept_depths, work.kind.depth_spread) for work in recordings(captured)._graphs} == {(True, True)}
+    assert {(work.kind.swept_depths, work.kind.depth_spread) for work in recordings(captured).graphs} == {(True, True)}
     assert captured.guard.first_bad() is None
     assert captured.model.num_gaussians == plain.model.num_gaussians > 60
     ours, theirs = captured.state.exposures, plain.state.exposures
@@ -147,10 +147,10 @@ def test_images_that_grow_are_captured_anew(tmp_path: Path) -> None:
         config = dataclasses.replace(config, device="cuda", graph=graph)
         trainer, seen = toy_trainer(tmp_path / name, config, enlarged(many_frames(toy_capture()), 3)), []
         while trainer.step < 60:
-            trainer._train_step()
-            if trainer.steps.recordings is not None and recordings(trainer)._graphs:
+            trainer.train_step()
+            if trainer.steps.recordings is not None and recordings(trainer).graphs:
                 seen += [
-                    (len(recordings(trainer)._graphs), held.views["rgb"].width)
+                    (len(recordings(trainer).graphs), held.views["rgb"].width)
                     for (held,) in recordings(trainer)._frames.values()
                 ]
         return trainer, seen
@@ -175,8 +175,8 @@ def test_another_device_than_the_first(tmp_path: Path) -> None:
         trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
         before = trainer.model.gaussians("shared").means.detach().clone()
         while trainer.step < 20:
-            trainer._train_step()
-        assert recordings(trainer)._graphs
+            trainer.train_step()
+        assert recordings(trainer).graphs
         assert trainer.guard.first_bad() is None
         means = trainer.model.gaussians("shared").means
         assert means.device == torch.device("cuda:1")
@@ -191,15 +191,15 @@ def test_graphs_outlive_relocation(tmp_path: Path) -> None:
     trainer = _run(tmp_path, "shared", 24, of=40, densification=full)
     gaussians = trainer.model.gaussians("shared")
     assert len(gaussians) == 60
-    before = dict(recordings(trainer)._graphs)
+    before = dict(recordings(trainer).graphs)
     assert before
     with torch.no_grad():
         gaussians.logit_opacities[:5] = -9.0
         gaussians.thermal_opacity_offsets[:5] = 0.0
     means = gaussians.means[:5].detach().clone()
     while trainer.step < 34:  # one refinement
-        trainer._train_step()
-    assert recordings(trainer)._graphs == before
+        trainer.train_step()
+    assert recordings(trainer).graphs == before
     assert (gaussians.opacities[:5] > 0.005).all()
     assert ((gaussians.means[:5] - means).norm(dim=-1) > 0.01).all()
     assert trainer.guard.first_bad() is None
@@ -214,7 +214,7 @@ def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     changes = {"densification": still, "budget": "auto", "auto_budget": budget}
     plain = _run(tmp_path / "plain", "shared", 40, graph=False, **changes)
     captured = _run(tmp_path / "captured", "shared", 40, graph=True, **changes)
-    assert recordings(captured)._graphs
+    assert recordings(captured).graphs
     assert captured.guard.first_bad() is None
     assert feature_channels(captured.model) == feature_channels(plain.model) == 1
     ours, theirs = captured.model.gaussians("shared"), plain.model.gaussians("shared")
@@ -240,7 +240,7 @@ def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
     assert torch.equal(trainer.model.gaussians("shared").means, before)
     del capacity.measure
     captured.check_overflow()
-    assert not recordings(trainer)._graphs
+    assert not recordings(trainer).graphs
     with captured.run(kind):
         pass
     assert capacity.overflow == 0
@@ -256,7 +256,7 @@ def test_resume_from_captured_steps(tmp_path: Path) -> None:
         resumed = Trainer.resume(config, trainer.capture, trainer.run)
         assert resumed.step == 20
         while resumed.step < 24:
-            resumed._train_step()
+            resumed.train_step()
         assert resumed.guard.first_bad() is None
 
 

@@ -64,14 +64,14 @@ def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     assert whole.train()["lens"] == "direct"
     half = toy_trainer(tmp_path / "half", config, capture)
     while half.step < 4:
-        half._train_step()
+        half.train_step()
     half.save()
     resumed = Trainer.resume(config, capture, half.run)
     while resumed.step < 8:
-        resumed._train_step()
+        resumed.train_step()
     again = toy_trainer(tmp_path / "again", config, capture)
     while again.step < 8:
-        again._train_step()
+        again.train_step()
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 

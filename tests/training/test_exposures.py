@@ -144,7 +144,7 @@ def test_training_with_exposures(tmp_path: Path, kind: str, others: tuple[str, .
     capture = many_frames(toy_capture(thermal_kind=kind, others=others))
     trainer = toy_trainer(tmp_path / "whole", config, capture)
     while trainer.step < 10:
-        trainer._train_step()
+        trainer.train_step()
     assert trainer.state.exposures is not None
     maps = trainer.state.exposures.maps
     assert set(maps) == {"rgb", "thermal", *others}
@@ -153,9 +153,9 @@ def test_training_with_exposures(tmp_path: Path, kind: str, others: tuple[str, .
     assert not any("exposures" in name for name, _ in trainer.model.named_parameters())
     half = toy_trainer(tmp_path / "half", config, capture)
     while half.step < 4:
-        half._train_step()
+        half.train_step()
     half.save()
     resumed = Trainer.resume(dataclasses.replace(config), capture, half.run)
     while resumed.step < 10:
-        resumed._train_step()
+        resumed.train_step()
     assert_same_state(state_tensors(resumed), state_tensors(trainer))

@@ -18,7 +18,7 @@ def test_a_training_step_enters_few_files(tmp_path: Path) -> None:
     config = toy_run_config(40, densification=DensificationConfig(stop_step=0), log_every=100)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
     for _ in range(9):
-        trainer._train_step()
+        trainer.train_step()
     root, entered = Path(thermosplat.__file__).parent, set[Path]()
 
     def note(frame: FrameType, event: str, _: object) -> None:
@@ -28,7 +28,7 @@ def test_a_training_step_enters_few_files(tmp_path: Path) -> None:
 
     sys.setprofile(note)
     try:
-        trainer._train_step()
+        trainer.train_step()
     finally:
         sys.setprofile(None)
     beyond = {path for path in entered if path.parts[0] in ("rasterizer", "torch_bridge")}

@@ -209,7 +209,7 @@ def test_noisy_images_get_more_steps(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path / "noisy", config, capture)
     assert trainer.recipe.notes[0].startswith("Noisy RGB images: 9 steps of one frame in place of 6 (")
     while trainer.step < 7:
-        trainer._train_step()
+        trainer.train_step()
     trainer.save()
     resumed = Trainer.resume(config, noisy(capture, rgb=1), trainer.run)  # smaller ones have less noise
     assert resumed.train()["steps"] == 9
@@ -227,7 +227,7 @@ def test_noise_of_other_images_changes_no_model(tmp_path: Path, then: int, now: 
     config = toy_run_config(spectra={"thermal": {"smoothness": 0.0, "point_spread": 0.05, "by_noise": True}}, scenes=2)
     config = dataclasses.replace(config, optimizer=dataclasses.replace(config.optimizer, cooldown_from=0.5))
     trainer = toy_trainer(tmp_path, config, noisy(many_frames(toy_capture()), thermal=then))
-    trainer._train_step()
+    trainer.train_step()
     trainer.save()
     resumed = Trainer.resume(config, noisy(many_frames(toy_capture()), thermal=now), trainer.run)
     resumed.train()

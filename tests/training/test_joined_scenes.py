@@ -124,7 +124,7 @@ def test_one_run_trains_all_scenes(tmp_path: Path, capture: Capture) -> None:
     trainer = toy_trainer(tmp_path, scenes_config(), capture)
     start = trainer.model.gaussians("shared").features.detach().clone()
     for _ in range(16):
-        trainer._train_step()
+        trainer.train_step()
     (first,) = trainer.state.kept_scenes
     assert trainer.step == 0  # its steps are those of the result
     assert trainer.state.is_preliminary is False
@@ -133,14 +133,14 @@ def test_one_run_trains_all_scenes(tmp_path: Path, capture: Capture) -> None:
     assert not torch.equal(again.features, start)
     decoders = {key: value.clone() for key, value in trainer.model.formations.decoder.state_dict().items()}
     for _ in range(16):
-        trainer._train_step()
+        trainer.train_step()
     assert trainer.step == 16
     assert not trainer.state.kept_scenes
     second = len(trainer.model.gaussians("shared")) - len(first["shared"]["means"])
     assert second > len(capture.points)  # both have grown
     for key, value in trainer.model.formations.decoder.state_dict().items():
         assert torch.equal(value, decoders[key])
-    trainer._train_step()
+    trainer.train_step()
     trained = trainer.model.formations.decoder.state_dict()
     assert any(not torch.equal(value, decoders[key]) for key, value in trained.items())
 
@@ -158,6 +158,7 @@ def test_what_a_user_sees(tmp_path: Path, capture: Capture, capsys: pytest.Captu
     assert [path.name for path in sorted((tmp_path / "ckpts").iterdir())][-1] == "step_000020.pt"
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("passed", [5, 16, 16 + 7, 16 + 16, 16 + 18])
 def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, passed: int) -> None:
     """In the first scene, between the two, in the second, where they become one, and after that."""
@@ -166,7 +167,7 @@ def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, pa
     whole.train()
     first = toy_trainer(tmp_path / "parts", config, capture)
     for _ in range(passed):
-        first._train_step()
+        first.train_step()
     first.save()
     second = Trainer.resume(config, capture, first.run)
     assert second.step == first.step
@@ -234,7 +235,7 @@ def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path, monkeypatc
     trainer = toy_trainer(tmp_path, config, capture)
     withheld, numbers = [], []
     for _ in range(32 + 32 + 8):
-        trainer._train_step()
+        trainer.train_step()
         withheld.append(bool(trainer.schedule._withheld))
         numbers.append(trainer.model.num_gaussians)
     assert withheld[0]
@@ -252,10 +253,10 @@ def test_separate_sets_become_one_each(tmp_path: Path, capture: Capture) -> None
     made = scenes_config(model={"gaussian_sets": "separate", "feature_dim": 0})
     trainer = toy_trainer(tmp_path, made, capture)
     for _ in range(31):
-        trainer._train_step()
+        trainer.train_step()
     second = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
     first = {name: len(packed["means"]) for name, packed in trainer.state.kept_scenes[0].items()}
-    trainer._train_step()
+    trainer.train_step()
     assert set(second) == {"rgb", "thermal"}
     for name, gaussians in trainer.state.gaussian_sets.items():
         assert len(gaussians) >= first[name] + second[name] > 2 * len(capture.points)
@@ -268,14 +269,14 @@ def test_offloaded_scenes_become_one(tmp_path: Path, capture: Capture, kind: str
     offloaded = toy_trainer(tmp_path / "offloaded", scenes_config(offload=kind), capture)
     for trainer in (usual, offloaded):
         for _ in range(16 + 16):
-            trainer._train_step()
+            trainer.train_step()
     found = offloaded.model.gaussians("shared")
     for name in ("means", "log_scales", "logit_opacities", "thermal_opacity_offsets"):
         torch.testing.assert_close(found.get_parameter(name), usual.model.gaussians("shared").get_parameter(name))
     assert isinstance(found.features, OffloadedParameter)
     assert found.features.on_host == (kind == "on")
     before = on_cpu(found.features).clone()
-    offloaded._train_step()
+    offloaded.train_step()
     assert not torch.equal(on_cpu(found.features), before)
 
 
@@ -286,7 +287,7 @@ def test_cameras_are_found_before_the_first_scene(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path, scenes_config(**passes), capture)
     steps = 0
     while trainer.state.scenes_left > 0:
-        trainer._train_step()
+        trainer.train_step()
         steps += 1
     assert steps == 2 * 2 + 2 * 16
 
@@ -298,7 +299,7 @@ def test_a_scene_is_not_lost_where_memory_ends(
     """Neither counted twice: what is saved is the scene at its end, and a resumed run goes on with the next."""
     trainer = toy_trainer(tmp_path, scenes_config(), capture)
     for _ in range(16 * scene - 1):
-        trainer._train_step()
+        trainer.train_step()
 
     def full(*arguments: Any, **settings: Any) -> None:
         raise MemoryError
@@ -321,7 +322,7 @@ def test_a_damaged_scene_is_told(tmp_path: Path, capture: Capture) -> None:
     """A file from a stranger: what a scene lacks is said before anything is trained."""
     trainer = toy_trainer(tmp_path, scenes_config(), capture)
     for _ in range(17):
-        trainer._train_step()
+        trainer.train_step()
     path = trainer.save()
     state = load_checkpoint(path).state()
     del state["training"]["kept_scenes"][0]["shared"]["quats"]

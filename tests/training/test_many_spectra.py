@@ -89,6 +89,7 @@ def test_three_spectra_learn(tmp_path: Path, model: dict[str, Any], nir: dict[st
     assert after["thermal"]["mae_celsius"] < 0.5 * before["thermal"]["mae_celsius"]
 
 
+@pytest.mark.slow  # fewer spectra train end to end above
 def test_ten_spectra_train_from_beginning_to_end(tmp_path: Path) -> None:
     """They train, with Gaussians added, removed and reset, are judged one by one, exported, and go on to the bit."""
     config = toy_run_config(12, model={"feature_dim": 12}, spectra=ten_spectra())
@@ -111,7 +112,7 @@ def test_ten_spectra_train_from_beginning_to_end(tmp_path: Path) -> None:
 
     resumed = stopped_and_resumed(tmp_path / "half", config, capture, 7)
     while resumed.step < 12:
-        resumed._train_step()
+        resumed.train_step()
     assert_same_state(state_tensors(resumed), state_tensors(trainer))
     restored = SceneModel.from_checkpoint(load_checkpoint(run.checkpoint(12)), "cpu")
     views = trainer.frames[0].views
@@ -154,7 +155,7 @@ def test_sets_start_from_one_another(tmp_path: Path) -> None:
     start = held("nir")
     for steps, copy, source in ((4, "thermal", "rgb"), (8, "nir", "thermal")):
         while trainer.step < steps:
-            trainer._train_step()
+            trainer.train_step()
         ours, theirs = held(copy), held(source)
         assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
         assert len(trainer.state.strategies[copy].grad_norm_sum) == len(trainer.model.gaussians(copy))  # type: ignore[attr-defined]
@@ -162,7 +163,7 @@ def test_sets_start_from_one_another(tmp_path: Path) -> None:
             assert all(torch.equal(value, start[key]) for key, value in held("nir").items())
     thermal = held("thermal")
     while trainer.step < 16:
-        trainer._train_step()
+        trainer.train_step()
     assert all(torch.equal(value, thermal[key]) for key, value in held("thermal").items())
     now = held("nir")
     assert now["sh0"].shape != thermal["sh0"].shape or not torch.equal(now["sh0"], thermal["sh0"])

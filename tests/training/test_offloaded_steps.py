@@ -29,7 +29,7 @@ def test_a_decision_is_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
     assert trainer.parts.scenes.notes == ("Moments lie here and there.",)
     while trainer.step < 5:
-        trainer._train_step()
+        trainer.train_step()
     assert len(trainer.state.gaussian_sets["shared"]) > 60
     optimizers = trainer.state.row_optimizers("shared")
     assert [len(optimizer._near) for optimizer in optimizers if optimizer._near is not None] == [40, 40]
@@ -54,11 +54,11 @@ def test_a_step_makes_room_and_begins_again(tmp_path: Path, monkeypatch: pytest.
     said: list[str] = []
     trainer, other = (trainer_of(tmp_path / name, said) for name in ("one", "other"))
     for one in (trainer, other):
-        one._train_step()
-        one._train_step()
+        one.train_step()
+        one.train_step()
     fail(trainer, 2, monkeypatch, torch.OutOfMemoryError("CUDA out of memory."))
     for one in (trainer, other):
-        one._train_step()
+        one.train_step()
     assert [line.split(" stay on it for ")[1].split(" from")[0] for line in said] == ["20 Gaussians", "10 Gaussians"]
     assert {optimizer.rows_on_device for optimizer in trainer.state.row_optimizers("shared")} == {10}
     found, expected = state_tensors(trainer), state_tensors(other)
@@ -71,10 +71,10 @@ def test_without_moments_to_move_it_is_an_error(tmp_path: Path, monkeypatch: pyt
     """What needs more room than there is ends as before, with no step done."""
     said: list[str] = []
     trainer = trainer_of(tmp_path, said)
-    trainer._train_step()
+    trainer.train_step()
     fail(trainer, 100, monkeypatch, torch.OutOfMemoryError("CUDA out of memory."))
     with pytest.raises(torch.OutOfMemoryError):
-        trainer._train_step()
+        trainer.train_step()
     assert "for no Gaussian from now on" in said[-1]
     assert trainer.step == 1
 
@@ -85,6 +85,6 @@ def test_other_errors_move_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     trainer = trainer_of(tmp_path, said)
     fail(trainer, 1, monkeypatch, RuntimeError("something else"))
     with pytest.raises(RuntimeError, match="something else"):
-        trainer._train_step()
+        trainer.train_step()
     assert not said
     assert {optimizer.rows_on_device for optimizer in trainer.state.row_optimizers("shared")} == {40}

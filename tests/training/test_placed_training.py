@@ -35,7 +35,7 @@ def trained(folder: Path, world: Placement) -> Outcome:
     config = toy_run_config(12, data=str(write_moved(folder / "capture", world)))
     trainer = toy_trainer(folder / "run", config, load_capture(config.data))
     while trainer.step < 12:
-        trainer._train_step()
+        trainer.train_step()
     trainer.save()
     trainer.results.exporting()()
     metrics = evaluate(trainer.model, trainer.capture, sh_degree=trainer.sh_degree, device="cpu")

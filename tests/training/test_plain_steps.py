@@ -49,11 +49,11 @@ def test_nothing_recorded_is_forgotten(tmp_path: Path) -> None:
     states = []
     for name, called in (("with", True), ("without", False)):
         trainer = toy_trainer(tmp_path / name, toy_run_config(), many_frames(toy_capture()))
-        trainer._train_step()
+        trainer.train_step()
         if called:
             trainer.steps.forget(kernels=True)
             trainer.steps.check_overflow()
-        trainer._train_step()
+        trainer.train_step()
         states.append(state_tensors(trainer))
     assert_same_state(*states)
     assert all(torch.isfinite(value).all() for value in states[0].values())

@@ -50,7 +50,7 @@ def test_rounds_come_first(tmp_path: Path) -> None:
     moved, steps = [], []
     while trainer.step < config.max_steps:
         before = corrections.cameras.detach().clone()
-        trainer._train_step()
+        trainer.train_step()
         steps.append(trainer.step)
         if not torch.equal(before, corrections.cameras):
             moved.append(len(steps))
@@ -71,7 +71,7 @@ def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) 
     )
     trainer = toy_trainer(tmp_path / "whole", config, capture)
     for _ in range(6):
-        trainer._train_step()
+        trainer.train_step()
     corrections = trainer.state.corrections
     assert corrections is not None
     assert corrections.cameras.any()
@@ -83,7 +83,7 @@ def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) 
     resumed = Trainer.resume(config, capture, trainer.run)
     for each in (trainer, again, resumed):
         while each.step < 5:
-            each._train_step()
+            each.train_step()
     assert_same_state(state_tensors(trainer), state_tensors(again))
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
@@ -97,7 +97,7 @@ def test_spectra_have_one_opacity_while_their_cameras_are_found(
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(aligned=False)))
     kept = []
     while trainer.step < config.max_steps:
-        trainer._train_step()
+        trainer.train_step()
         kept.append(offsets_kept(trainer.model)["thermal"])
     assert not any(kept[:held])
     assert kept[held] > 0.9
@@ -121,13 +121,13 @@ def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) 
 
     half = toy_trainer(tmp_path / "half", config, capture)
     for _ in range(steps):
-        half._train_step()
+        half.train_step()
     half.save()
     resumed = Trainer.resume(config, capture, half.run)
     again = toy_trainer(tmp_path / "again", config, capture)
     for each in (resumed, again):
         while each.step < 12:
-            each._train_step()
+            each.train_step()
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 
@@ -141,7 +141,7 @@ def test_a_loaded_run_has_the_corrected_capture(tmp_path: Path) -> None:
     capture = load_capture("sample", data_factor=8)
     trainer = toy_trainer(run, config, capture)
     while trainer.step < 4:
-        trainer._train_step()
+        trainer.train_step()
     trainer.save()
     loaded = load_run(str(run), device="cpu").capture(None)
     for ours, theirs in zip(loaded.train, trainer.corrected_capture().train, strict=True):
@@ -155,7 +155,7 @@ def test_going_on_with_other_refinement_is_refused(tmp_path: Path) -> None:
     """What is refined decides which parameters there are."""
     capture = many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, toy_run_config(4, refine=("poses",)), capture)
-    trainer._train_step()
+    trainer.train_step()
     trainer.save()
     with pytest.raises(UserError, match="was trained with refine=poses, the command asks for nothing"):
         Trainer.resume(toy_run_config(4), capture, trainer.run)

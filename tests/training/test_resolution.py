@@ -85,7 +85,7 @@ def test_growth_follows_the_images(tmp_path: Path, capture: Capture) -> None:
     trainer = toy_trainer(tmp_path, dataclasses.replace(config, densification=wanted), capture)
     counts = []
     while trainer.step < 12:
-        trainer._train_step()
+        trainer.train_step()
         counts.append(trainer.model.num_gaussians)
     assert max(counts[:4]) <= math.floor(150 / 1.5**2) < max(counts[4:8]) <= math.floor(150 / 1.2**2) < counts[-1]
 
@@ -99,7 +99,7 @@ def test_mcmc_grows_with_the_images_and_is_not_full_before(tmp_path: Path, captu
     (gaussians,) = trainer.state.gaussian_sets.values()
     counts, full = [], []
     while trainer.step < 12:
-        trainer._train_step()
+        trainer.train_step()
         counts.append(len(gaussians))
         full.append(strategy.is_full(gaussians))
     assert (counts[3], counts[6], counts[-1]) == (66, 102, 150)
@@ -174,7 +174,7 @@ def test_noise_floors_are_those_of_averages(tmp_path: Path, capture: Capture, mo
     trainer = toy_trainer(tmp_path, growing(), capture)
     trainer.state.noise_watch = NoiseWatch({"thermal": 0.01}, len(trainer.frames), trainer.device)
     while trainer.step < 12:
-        trainer._train_step()
+        trainer.train_step()
     expected = [0.01 / 2.25] * 4 + [0.01 / 1.44] * 4 + [0.01] * 4
     assert seen == pytest.approx(expected)
     errors = trainer.state.noise_watch.errors["thermal"]  # those of averages are not kept
@@ -190,8 +190,8 @@ def test_images_on_the_disk_shrink_to_the_same_pixels(tmp_path: Path) -> None:
     held, read = toy_trainer(tmp_path / "held", config, in_memory), toy_trainer(tmp_path / "read", config, on_disk)
     try:
         while held.step < 6:
-            held._train_step()
-            read._train_step()
+            held.train_step()
+            read.train_step()
     finally:
         read.frames.close()
     assert_same_state(state_tensors(held), state_tensors(read))

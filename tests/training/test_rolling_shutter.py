@@ -116,11 +116,11 @@ def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     config = toy_run_config(8)
     half = toy_trainer(tmp_path / "half", config, capture)
     while half.step < 4:
-        half._train_step()
+        half.train_step()
     half.save()
     resumed = Trainer.resume(config, capture, half.run)
     again = toy_trainer(tmp_path / "again", config, capture)
     for trainer in (resumed, again):
         while trainer.step < 8:
-            trainer._train_step()
+            trainer.train_step()
     assert_same_state(state_tensors(resumed), state_tensors(again))

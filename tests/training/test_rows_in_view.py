@@ -53,7 +53,7 @@ def trained(path: Path, steps: int, *, aligned: bool = True, **settings: Any) ->
     if some:
         trainer.state.keep_moments_on_device(dict.fromkeys(trainer.state.gaussian_sets, 25))
     while trainer.step < steps:
-        trainer._train_step()
+        trainer.train_step()
     return trainer
 
 
@@ -85,14 +85,14 @@ def test_what_is_out_of_view_stays(tmp_path: Path) -> None:
     """Gaussians behind all cameras: their offloaded numbers and moments wait, while Adam moves the others'."""
     trainer = trained(tmp_path, 1, offload="on", sh_degree_interval=1, densification=DensificationConfig(stop_step=0))
     gaussians, optimizers = trainer.state.gaussian_sets["shared"], trainer.state.optimizers["shared"]
-    trainer._train_step()  # now there are moments
+    trainer.train_step()  # now there are moments
     with torch.no_grad():
         gaussians.means[::2, 2] -= 100.0
     held = [*(gaussians.get_parameter(name) for name in ("shN", "features"))]
     held += [optimizers[name].state[value]["exp_avg"] for name, value in zip(("shN", "features"), held, strict=True)]
     before = [value.detach().clone() for value in held]
     for _ in range(3):
-        trainer._train_step()
+        trainer.train_step()
     for value, previous in zip(held, before, strict=True):
         assert torch.equal(value[::2], previous[::2])
         assert (value[1::2] != previous[1::2]).any()
@@ -110,7 +110,7 @@ def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None
     resumed = Trainer.resume(dataclasses.replace(config, offload=then), capture_of(), RunDirectory.open(half.run.path))
     assert some_offloaded(resumed.state.gaussian_sets["shared"]) == (then == "on")
     while resumed.step < 6:
-        resumed._train_step()
+        resumed.train_step()
     close_states(resumed, whole)
 
 

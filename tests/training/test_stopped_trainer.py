@@ -44,7 +44,7 @@ def whole_run(tmp_path_factory: pytest.TempPathFactory, capture: Capture) -> dic
     trainer = toy_trainer(tmp_path_factory.mktemp("whole"), toy_run_config(), capture)
     states = {}
     while trainer.step < 12:
-        trainer._train_step()
+        trainer.train_step()
         states[trainer.step] = state_tensors(trainer)
     return states
 
@@ -335,7 +335,7 @@ def test_nan_stops_with_the_last_good_state(
         return compared
 
     monkeypatch.setattr(training_step, "compare_frame", spoiled)
-    monkeypatch.setattr(trainer, "_looks_at_guard", lambda step: step % looks_every == 0)
+    monkeypatch.setattr(trainer, "looks_at_guard", lambda step: step % looks_every == 0)
     with pytest.raises(UserError, match=r"NaN or infinite at step 8 \(term: thermal_smoothness; frame: frame\d\)") as e:
         trainer.train()
     monkeypatch.undo()
@@ -351,7 +351,7 @@ def test_guard_is_looked_at_where_a_bad_state_would_spread(tmp_path: Path, captu
     trainer = toy_trainer(tmp_path, config, capture)
     trainer.device = torch.device("cuda")  # nothing is computed here
     refined, reset, logged = {*range(4, 41, 3)}, {*range(6, 41, 5)}, {*range(5, 41, 5)}
-    assert {step for step in range(1, 41) if trainer._looks_at_guard(step)} == refined | reset | logged | {16, 17, 40}
+    assert {step for step in range(1, 41) if trainer.looks_at_guard(step)} == refined | reset | logged | {16, 17, 40}
 
 
 def test_out_of_memory_saves_and_tells(

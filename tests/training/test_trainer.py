@@ -67,14 +67,14 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainCon
     whole = toy_trainer(tmp_path / "whole", config, capture)
     counts = [whole.model.num_gaussians]
     while whole.step < 12:
-        whole._train_step()
+        whole.train_step()
         counts.append(whole.model.num_gaussians)
     assert len(set(counts[:7])) > 1
     assert len(set(counts[6:])) > 1
 
     first = toy_trainer(tmp_path / "halves", config, capture)
     while first.step < 6:
-        first._train_step()
+        first.train_step()
     first.save()
     second = Trainer.resume(config, capture, RunDirectory.open(tmp_path / "halves"))
     assert second.step == 6

@@ -19,7 +19,7 @@ def test_round_trip_through_a_file(tmp_path: Path) -> None:
     config, capture = toy_run_config(), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
     for _ in range(4):  # past a refinement, so that the model has another size than at the start
-        trainer._train_step()
+        trainer.train_step()
     save_checkpoint(tmp_path / "x.pt", trainer.state.checkpoint(config, 1, capture.scales).state())
     checkpoint = load_checkpoint(tmp_path / "x.pt")
     device = torch.device("cpu")
@@ -41,7 +41,7 @@ def test_checkpoint_of_tensors_without_gradients(tmp_path: Path) -> None:
     """Nothing in a checkpoint is a parameter: it is written while another thread renders the model (``meanwhile``)."""
     config, capture = toy_run_config(), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
-    trainer._train_step()
+    trainer.train_step()
     tensors = flat_tensors(trainer.state.checkpoint(config, 1, capture.scales).state()).values()
     assert sum(tensor.numel() for tensor in tensors) > sum(value.numel() for value in trainer.model.parameters())
     assert not any(tensor.requires_grad for tensor in tensors)
@@ -100,7 +100,7 @@ def test_checkpoints_of_the_first_version_load(tmp_path: Path) -> None:
     """They know nothing of budgets: growth goes on."""
     config, capture = toy_run_config(), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
-    trainer._train_step()
+    trainer.train_step()
     state = trainer.state.checkpoint(config, 0, {}).state()
     for key in ("noisy", "growing", "offsets_dropped", "trimmed", "corrections", "best_validation"):
         del state["training"][key]

@@ -47,7 +47,7 @@ def test_penalties_leave_alone_what_a_step_does_not_train(tmp_path: Path) -> Non
     for kept, steps in (("thermal", 4), ("rgb", 8)):
         before = {name: value.clone() for name, value in trainer.model.gaussians(kept).state_dict().items()}
         while trainer.step < steps:
-            trainer._train_step()
+            trainer.train_step()
         after = trainer.model.gaussians(kept).state_dict()
         assert all(torch.equal(value, after[name]) for name, value in before.items())
 

@@ -1,6 +1,7 @@
 """Making one cell: train it, or go on with it, measure it, and say so in its cell.json."""
 
 import csv
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,13 @@ import torch
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config
 from thermosplat.datasets import capture_of
+from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.frame_tensors import FrameTensors, without_pixels
 from thermosplat.method_matrix.cell_result import CellResult, read_regions, write_cell
 from thermosplat.method_matrix.cells import Cell, difference, settings
 from thermosplat.method_matrix.panels import write_panels
-from thermosplat.method_matrix.render_speed import frames_per_second
 from thermosplat.runs.run_directory import RunDirectory
+from thermosplat.scene.model import SceneModel
 from thermosplat.training.trainer import Trainer
 
 
@@ -95,3 +98,39 @@ def _drop_checkpoints(run: RunDirectory, *, keep_last: bool) -> None:
     files = run.checkpoints()
     for file in files[:-1] if keep_last else files:
         file.unlink()
+
+
+LEAST_SECONDS = 1.0
+"""A GPU is timed at least this long [s]."""
+
+
+@torch.no_grad()
+def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device) -> float:
+    """Held-out frames rendered a second, each with all modelled spectra, at the size of its images.
+
+    Every frame is rendered once before the clock starts. Nothing is copied back from the device.
+
+    Args:
+        model: The scene.
+        capture: Its capture; ``capture.test`` is rendered.
+        sh_degree: Highest SH degree in use.
+        device: Where the model is.
+    """
+    frames = [
+        FrameTensors(f.name, {name: without_pixels(v, device) for name, v in f.views.items()}, f.shared_cameras)
+        for f in capture.test
+    ]
+
+    def render_all() -> None:
+        for frame in frames:
+            model.render(frame.views, sh_degree=sh_degree, shared_cameras=frame.shared_cameras)
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+
+    render_all()
+    started, rounds, elapsed = time.perf_counter(), 0, 0.0
+    while rounds == 0 or (device.type == "cuda" and elapsed < LEAST_SECONDS):
+        render_all()
+        rounds += 1
+        elapsed = time.perf_counter() - started
+    return rounds * len(frames) / elapsed

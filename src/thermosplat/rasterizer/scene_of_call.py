@@ -26,7 +26,6 @@ from thermosplat.rasterizer.call_inputs import (
 )
 from thermosplat.rasterizer.cameras_of_ranks import CameraKind, check_cameras
 from thermosplat.rasterizer.checked_numbers import checked_sizes
-from thermosplat.rasterizer.distances import distances
 from thermosplat.rasterizer.exchanged_scene import scene_among_ranks
 from thermosplat.rasterizer.info import num_nonfinite
 from thermosplat.rasterizer.lenses import Lenses, checked_lenses
@@ -260,3 +259,23 @@ def _active(values: Tensor | Sequence[Tensor], degree: int) -> list[tuple[Tensor
         return [(values[..., :active, :], 3 * active)]
     sh0, shN = values
     return [(sh0, 3), (shN[..., : active - 1, :], 3 * (active - 1))]
+
+
+def distances(means: Tensor, viewmats: Tensor, visible: Tensor) -> Tensor:
+    """Euclidean distances between Gaussians and cameras, differentiable in both.
+
+    Args:
+        means: Centres, [..., N, 3], world units.
+        viewmats: World to camera, [..., C, 4, 4].
+        visible: Which Gaussians a camera draws, [..., C, N].
+
+    Returns:
+        [..., C, N], world units; 0 where a Gaussian is not drawn. In the dtype of ``means``; in between float64, as far
+        from the origin the terms cancel.
+    """
+    rotations, translations = viewmats[..., :3, :3].double(), viewmats[..., :3, 3].double()
+    seen = torch.where(visible[..., None], means.double().unsqueeze(-3), 0.0)
+    positions = seen @ rotations.transpose(-1, -2) + translations.unsqueeze(-2)
+    drawn = torch.where(visible[..., None], positions, 1.0)  # keeps the root's gradient finite where nothing is drawn
+    lengths = torch.linalg.vector_norm(drawn, dim=-1)
+    return torch.where(visible, lengths, 0.0).to(means.dtype)

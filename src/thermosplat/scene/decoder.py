@@ -6,6 +6,7 @@ a spectrum's opacities, h the shared encoding, h_p the prior of a spectrum p, (Î
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -155,3 +156,39 @@ def _identity_modulation(hidden: int) -> nn.Linear:
         layer.bias[:hidden] = 1.0
         layer.bias[hidden:] = 0.0
     return layer
+
+
+class SpectrumDecoders(Decoder):
+    """A network per spectrum: d -> hidden -> ... -> hidden -> channels, SiLU between the layers, a sigmoid at the end.
+
+    What MS-Splatting decodes with. Stands where ``Decoders`` does, with none of its connections between the spectra.
+
+    Attributes:
+        networks: By spectrum.
+
+    Args:
+        config: Widths.
+        input_dim: Channels of a pixel's input, >= 1.
+        spectra: What is decoded, in order.
+    """
+
+    def __init__(self, config: DecoderConfig, input_dim: int, spectra: Sequence[Spectrum]) -> None:
+        super().__init__()
+        self.networks = nn.ModuleDict()
+        for spectrum in spectra:
+            self.networks[spectrum.name] = network = _network(config, input_dim, spectrum.channels)
+            if config.hybrid and spectrum.name == first_photograph(spectra):
+                # As of Decoders: near black, so that the sum starts at the SH colour.
+                nn.init.constant_(cast("nn.Linear", network[-1]).bias, HYBRID_BIAS)
+
+    def image(self, spectrum: str, features: Tensor) -> Tensor:
+        """As of ``Decoder``."""
+        return torch.sigmoid(self.networks[spectrum](features))
+
+
+def _network(config: DecoderConfig, input_dim: int, output_dim: int) -> nn.Sequential:
+    widths = [input_dim] + [config.hidden_dim] * HIDDEN_LAYERS
+    layers: list[nn.Module] = []
+    for width_in, width_out in itertools.pairwise(widths):
+        layers += [nn.Linear(width_in, width_out), nn.SiLU()]
+    return nn.Sequential(*layers, nn.Linear(widths[-1], output_dim))

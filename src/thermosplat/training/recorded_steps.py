@@ -76,6 +76,9 @@ class RecordedSteps:
     Args:
         step: The step.
         num_frames: Training frames; up to ``MEASURED`` first steps run line by line.
+
+    Attributes:
+        graphs: What was captured.
     """
 
     def __init__(self, step: TrainingStep, num_frames: int) -> None:
@@ -85,7 +88,7 @@ class RecordedSteps:
         self._taught: tuple[str, ...] = ()
         self._seen: set[Work] = set()
         self._frames: dict[tuple[_Shape | None, ...], tuple[FrameTensors, ...]] = {}
-        self._graphs: dict[Work, Captured] = {}
+        self.graphs: dict[Work, Captured] = {}
         self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
     def run(self, frames: tuple[FrameTensors, ...], plan: Plan, kind: StepKind) -> StepValues:
@@ -107,8 +110,8 @@ class RecordedSteps:
             self._seen.add(work)
             return self._do(frames, work, fixed_capacity=False)
         if readiness is Readiness.CAPTURE:
-            self._graphs[work] = self._capture(frames, work)
-        captured = self._graphs[work]
+            self.graphs[work] = self._capture(frames, work)
+        captured = self.graphs[work]
         for static, frame in zip(captured.frames, frames, strict=True):
             if frame.views:
                 packed_memory(static).copy_(packed_memory(frame))
@@ -119,7 +122,7 @@ class RecordedSteps:
     def _readiness(self, work: Work) -> Readiness:
         """What all ranks do with a step."""
         own, team = self._own_readiness(work), self.step.team
-        of_ranks = team.numbers([own, len(self._graphs)])
+        of_ranks = team.numbers([own, len(self.graphs)])
         agreed = Readiness(min(readiness for readiness, _ in of_ranks))
         if agreed is Readiness.CAPTURE and not all(graphs for _, graphs in of_ranks):
             self.forget()  # some rank measures how much room is needed, which all do together
@@ -128,9 +131,9 @@ class RecordedSteps:
     def _own_readiness(self, work: Work) -> Readiness:
         if self._to_measure > 0 or work not in self._seen:
             return Readiness.LINE_BY_LINE
-        if work in self._graphs:
+        if work in self.graphs:
             return Readiness.REPLAY
-        if any(other.kind != work.kind for other in self._graphs):
+        if any(other.kind != work.kind for other in self.graphs):
             self.forget()  # what was done until now is hardly ever done again
         return Readiness.CAPTURE
 
@@ -141,7 +144,7 @@ class RecordedSteps:
 
     def forget(self, *, kernels: bool = False) -> None:
         """As ``Steps.forget``."""
-        self._graphs.clear()
+        self.graphs.clear()
         if kernels:
             self._seen.clear()
 
@@ -153,7 +156,7 @@ class RecordedSteps:
 
     def check_overflow(self) -> None:
         """As ``Steps.check_overflow``."""
-        short = bool(self._graphs) and self.step.capacity.is_short()
+        short = bool(self.graphs) and self.step.capacity.is_short()
         if any(number for (number,) in self.step.team.numbers([short])):
             self.forget()
 
@@ -161,7 +164,7 @@ class RecordedSteps:
         if work.shapes not in self._frames:
             self._frames[work.shapes] = tuple(packed_elsewhere(frame) if frame.views else frame for frame in frames)
         static, graph = self._frames[work.shapes], torch.cuda.CUDAGraph()
-        if not self._graphs:
+        if not self.graphs:
             self.step.capacity.spare = SPARE if work.kind.densifying else SETTLED_SPARE
             self.step.capacity.measure()
         if self.step.state.noise.device.type == "cuda":

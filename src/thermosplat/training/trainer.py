@@ -4,7 +4,7 @@
     thermosplat-train sample                          about a minute on two CPU cores
 
 A training is a recipe (recipe.py: what is done), a team (distributed/team.py: who does it) and stages (stages/: what is
-done between steps). Read :meth:`Trainer.train` for the run and :meth:`Trainer._train_step` for a step; everything they
+done between steps). Read :meth:`Trainer.train` for the run and :meth:`Trainer.train_step` for a step; everything they
 call says what it does in its own file. Steps count from 1. The state is always that of a whole number of steps,
 whatever ends the run: Ctrl-C, SIGTERM, a full memory or a bad loss.
 
@@ -167,10 +167,10 @@ class Trainer:
             self._stop_if_wished()
         while state.step < max_steps:
             raise_lost_stop()
-            self._train_step()
+            self.train_step()
             state.seconds.wall = time.perf_counter() - started
             self.keeping.writer.tell_failure()
-            if self.team.is_alone and self._looks_at_guard(state.step):
+            if self.team.is_alone and self.looks_at_guard(state.step):
                 self.keeping.check_folder()
             self._stop_if_wished()
             if state.step < max_steps:
@@ -191,7 +191,7 @@ class Trainer:
             forget_images(self.capture)
         return metrics
 
-    def _train_step(self) -> None:
+    def train_step(self) -> None:
         """One step: render frames, compare them with their images, improve Gaussians and decoders."""
         config, state = self.config, self.state
         step, started = state.step + 1, time.perf_counter()
@@ -201,7 +201,7 @@ class Trainer:
         state.begin_step(step, rates, self.capture.scene_extent)
 
         with self._first_step(), self.steps.run(kind) as values:
-            if self._looks_at_guard(step):
+            if self.looks_at_guard(step):
                 self.keeping.check_finite()
                 self.steps.check_overflow()
             for stage in self.stages:
@@ -219,7 +219,7 @@ class Trainer:
         for stage in self.stages:
             stage.leave()
 
-    def _looks_at_guard(self, step: int) -> bool:
+    def looks_at_guard(self, step: int) -> bool:
         """Whether to wait for the device after this step: where a bad state would spread or be kept."""
         config = self.config
         return (

@@ -28,9 +28,8 @@ from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offs
 from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
 from thermosplat.training.optimizers import FiniteGuard, step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
-from thermosplat.training.sharing.calls import Calls, calls_of, infos_of_frame, render_with_others
+from thermosplat.training.sharing.calls import Calls, TakingPart, calls_of, infos_of_frame, render_with_others
 from thermosplat.training.sharing.replicated import add_up_replicated, tell_errors
-from thermosplat.training.sharing.taking_part import TakingPart
 from thermosplat.training.step_kind import Group, Plan, StepKind, StepValues
 from thermosplat.training.swept_depths.swept_depths import SweptDepths
 from thermosplat.training.training_state import TrainingState

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from thermosplat.cli.exporting.fit_progress import shown_steps
+from thermosplat.cli.exporting.splats import shown_steps
 
 
 def test_lines_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:

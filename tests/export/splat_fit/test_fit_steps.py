@@ -75,8 +75,8 @@ def test_captured_steps_match_plain_ones(name: str, kind: str, colors: Colors) -
         view = smaller if step % 5 == 4 else views[step % len(views)]
         for fit in (plain, captured):
             fit.run(view, 1.0 - step / (3 * MEASURED))
-    assert len(captured._graphs) == 2
-    assert not plain._graphs
+    assert len(captured.graphs) == 2
+    assert not plain.graphs
     assert abs(psnr_of(captured, views) - psnr_of(plain, views)) < 0.3
     images = [[fit.exact.render(fit.learning.detached(), view) for view in views] for fit in (plain, captured)]
     for ours, theirs in zip(*images, strict=True):
@@ -95,7 +95,7 @@ def test_moved_splats_stay_in_the_captured_step() -> None:
     before = psnr_of(fit, views)
     for step in range(40):
         fit.run(views[step % len(views)], 1.0)
-    assert len(fit._graphs) == 1
+    assert len(fit.graphs) == 1
     assert psnr_of(fit, views) > before
 
 
@@ -106,16 +106,16 @@ def test_pairs_without_room_change_nothing_and_get_room(monkeypatch: pytest.Monk
     fit, views = started("rgb", "color", torch.device("cuda"))
     for step in range(MEASURED):
         fit.run(views[step % len(views)], 1.0)
-    fit._capacity.spare = 0.25
+    fit.capacity.spare = 0.25
     before = fit.learning.detached()
     for step in range(MEASURED, LOOK_EVERY - 1):
         fit.run(views[step % len(views)], 1.0)
     after = fit.learning.detached()
     torch.testing.assert_close(after.means, before.means, rtol=0, atol=0)
     torch.testing.assert_close(after.sh0, before.sh0, rtol=0, atol=0)
-    fit._capacity.spare = 1.5
+    fit.capacity.spare = 1.5
     fit.run(views[0], 1.0)
-    assert not fit._graphs
+    assert not fit.graphs
     near = psnr_of(fit, views)
     for step in range(20):
         fit.run(views[step % len(views)], 0.3)

@@ -3,7 +3,7 @@
 import torch
 
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.export.splat_fit.views_between import ViewsBetween
+from thermosplat.export.splat_fit.fitted_splats import ViewsBetween
 
 
 def view(x: float, degrees: float = 0.0) -> ViewTensors:

@@ -50,7 +50,7 @@ def _toy_tolerances() -> Iterator[None]:
 
 def advance(trainer: Trainer, steps: int) -> None:
     while trainer.step < steps:
-        trainer._train_step()
+        trainer.train_step()
 
 
 def test_pruning_ends_growth_and_frees_the_validation_views(tmp_path: Path) -> None:

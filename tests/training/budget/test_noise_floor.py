@@ -60,7 +60,7 @@ def _no_budget_but_the_floor() -> Iterator[None]:
 def trained(trainer: Trainer, steps: int) -> Trainer:
     """The trainer, so many steps from its start."""
     while trainer.step < steps:
-        trainer._train_step()
+        trainer.train_step()
     return trainer
 
 

@@ -179,7 +179,7 @@ def noisy_run(folder: Path, config: TrainConfig, noise: float, frames: int = FRA
 def advance(trainer: Trainer, steps: int) -> Trainer:
     """The trainer, so many steps from its start."""
     while trainer.step < steps:
-        trainer._train_step()
+        trainer.train_step()
     return trainer
 
 

@@ -146,7 +146,7 @@ def test_a_held_spectrum_is_trained_on_what_its_teacher_shows(tmp_path: Path, ba
     trainer = taught(tmp_path, still(60, batch_size=batch_size))
     near, far = errors_against(trainer, teacher=True), errors_against(trainer, teacher=False)
     while trainer.step < 60 // (batch_size or 1):
-        trainer._train_step()
+        trainer.train_step()
     assert errors_against(trainer, teacher=True) < 0.5 * near
     noted = trainer.state.noise_watch
     assert noted is not None
@@ -197,7 +197,7 @@ def test_state_goes_on(tmp_path: Path) -> None:
     config = still(6)
     trainer = taught(tmp_path / "a", config)
     while trainer.step < 3:
-        trainer._train_step()
+        trainer.train_step()
     trainer.save()
     resumed = Trainer.resume(config, trainer.capture, trainer.run)
     ours, theirs = state_tensors(resumed), state_tensors(trainer)
@@ -268,14 +268,14 @@ def test_captured_steps_train_on_what_a_teacher_shows(tmp_path: Path) -> None:
     config = dataclasses.replace(still(120), device="cuda")
     trainer = toy_trainer(tmp_path / "a", config, many_frames(toy_capture()))
     while trainer.step < 40:
-        trainer._train_step()
+        trainer.train_step()
     assert trainer.steps.recordings is not None
-    assert {work.kind.taught for work in trainer.steps.recordings._graphs} == {()}
+    assert {work.kind.taught for work in trainer.steps.recordings.graphs} == {()}
     other = taught(tmp_path / "b", config)
     trainer.state.noise_watch = other.state.noise_watch
     near = errors_against(trainer, teacher=True)
     while trainer.step < 120:
-        trainer._train_step()
-    assert {work.kind.taught for work in trainer.steps.recordings._graphs} == {("rgb",)}
+        trainer.train_step()
+    assert {work.kind.taught for work in trainer.steps.recordings.graphs} == {("rgb",)}
     assert trainer.guard.first_bad() is None
     assert errors_against(trainer, teacher=True) < 0.5 * near

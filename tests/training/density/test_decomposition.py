@@ -252,13 +252,13 @@ def test_resumed_run_may_begin_to_divide(tmp_path: Path, monkeypatch: pytest.Mon
     config = toy_run_config(12, spectra={"thermal": {"opacity": "own"}})
     first = toy_trainer(tmp_path, config, toy_capture())
     while first.step < 5:
-        first._train_step()
+        first.train_step()
     first.save()
     densification = dataclasses.replace(config.densification, strategy="decomposing")
     monkeypatch.setattr(decomposition, "CONFLICT_THRESHOLD", 1e-6)
     changed = dataclasses.replace(config, densification=densification)
     resumed = Trainer.resume(changed, toy_capture(), RunDirectory.open(tmp_path))
     while resumed.step < 7:  # to the next refinement
-        resumed._train_step()
+        resumed.train_step()
     (gaussians,) = resumed.state.gaussian_sets.values()
     assert (gaussians.opacities_in("thermal") < 1 / 255).any()

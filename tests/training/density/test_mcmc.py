@@ -265,7 +265,7 @@ def test_a_run_grows_to_its_budget(tmp_path: Path, spectra: dict[str, dict[str, 
     config = mcmc_config(24, spectra=spectra, split_apart=apart)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(others=tuple(spectra))))
     while trainer.step < 24:
-        trainer._train_step()
+        trainer.train_step()
     assert trainer.model.num_gaussians == 70
     assert trainer.guard.first_bad() is None
     assert not any(strategy.resets_at(step) for strategy in trainer.state.strategies.values() for step in range(1, 25))
@@ -276,7 +276,7 @@ def test_out_of_memory_behind_the_update(tmp_path: Path, monkeypatch: pytest.Mon
     config, capture = mcmc_config(10), many_frames(toy_capture())
     trainer = toy_trainer(tmp_path, config, capture)
     while trainer.step < 5:
-        trainer._train_step()
+        trainer.train_step()
 
     def full(*_: Any) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory.")
@@ -297,8 +297,8 @@ def test_resumed_run_draws_the_same_noise(tmp_path: Path, spectra: dict[str, dic
     config, capture = mcmc_config(10, spectra=spectra), many_frames(toy_capture(others=tuple(spectra)))
     whole = toy_trainer(tmp_path / "whole", config, capture)
     while whole.step < 10:
-        whole._train_step()
+        whole.train_step()
     resumed = stopped_and_resumed(tmp_path / "half", config, capture, 5)
     while resumed.step < 10:
-        resumed._train_step()
+        resumed.train_step()
     assert_same_state(state_tensors(resumed), state_tensors(whole))

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from thermosplat.training.sharing.taking_part import TakingPart
+from thermosplat.training.sharing.calls import TakingPart
 
 
 class Noted(torch.autograd.Function):

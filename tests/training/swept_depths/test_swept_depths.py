@@ -113,7 +113,7 @@ def test_a_scene_is_drawn_to_them(tmp_path: Path) -> None:
         means.copy_(((means @ R.T + t) * 1.03 - t) @ R)
     assert error() == pytest.approx(0.03, abs=0.005)
     for _ in range(60):
-        run._train_step()
+        run.train_step()
     assert abs(error()) < 0.01
 
 
@@ -124,7 +124,7 @@ def test_they_count_with_images_of_full_size(tmp_path: Path) -> None:
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture()))
     terms = []
     for _ in range(8):
-        trainer._train_step()
+        trainer.train_step()
         terms.append(trainer.device_step.swept)
     assert terms[:6] == [None] * 6
     assert terms[6] is terms[7] is not None
@@ -145,7 +145,7 @@ def test_depths_are_blended_for_what_was_swept_alone(tmp_path: Path, monkeypatch
             return frame
 
         monkeypatch.setattr(trainer.model, "render", render)
-        trainer._train_step()
+        trainer.train_step()
     assert blended == [True, False]
 
 

@@ -1,11 +1,14 @@
 """thermosplat-export --format ply, sog, ...: splats, fitted to the exact render."""
 
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.errors import UserError
+from thermosplat.printing import SafeConsole
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -107,7 +110,6 @@ def fitted_scene(
     if (exact and not _becomes_values(loaded, names, colors)) or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
-    from thermosplat.cli.exporting.fit_progress import shown_steps
     from thermosplat.export.scene import header_comments
     from thermosplat.export.splat_fit.fitted_splats import fit_splats
     from thermosplat.novel_views.viewpoints import viewpoints
@@ -148,3 +150,32 @@ def fitted_scene(
 def _becomes_values(loaded: "LoadedRun", names: list[str], colors: "Colors") -> bool:
     """Whether pseudo-colours have to become the values that they stand for, which a fit alone does."""
     return colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)
+
+
+LINE_EVERY = 10.0
+"""Seconds between lines."""
+
+
+def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] = time.monotonic) -> Iterable[int]:
+    """Steps to be done one after the other, shown to whoever waits for them.
+
+    Args:
+        steps: All of them.
+        name: The spectrum whose splats are fitted.
+        clock: Seconds.
+    """
+    console = SafeConsole()
+    if not console.is_terminal:
+        return _with_lines(steps, name, clock)
+    from rich.progress import track
+
+    return track(steps, f"Fitting {name}", console=console, transient=True)
+
+
+def _with_lines(steps: Sequence[int], name: str, clock: Callable[[], float]) -> Iterator[int]:
+    started = said = clock()
+    for done, step in enumerate(steps):
+        if clock() >= said + LINE_EVERY:
+            said = clock()
+            print(f"Fitting {name}: step {done:,} of {len(steps):,} after {said - started:.0f} s", flush=True)
+        yield step

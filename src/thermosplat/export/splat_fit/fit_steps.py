@@ -25,16 +25,21 @@ _Size = tuple[int, int]
 
 
 class FitSteps:
-    """Runs the steps of one fit."""
+    """Runs the steps of one fit.
+
+    Attributes:
+        capacity: Counts the renderer's pairs.
+        graphs: What was captured, by the size of the image.
+    """
 
     def __init__(self, learning: LearningSplats, exact: ExactImages) -> None:
         self.learning, self.exact = learning, exact
         device = exact.background.device
-        self._capacity = PairCapacity(device)
+        self.capacity = PairCapacity(device)
         self._captures = device.type == "cuda"
         self._done = 0
         self._cameras: dict[_Size, ViewTensors] = {}
-        self._graphs: dict[_Size, torch.cuda.CUDAGraph] = {}
+        self.graphs: dict[_Size, torch.cuda.CUDAGraph] = {}
         self._pool: torch.cuda.MemPool | None = None  # outlives the graphs, which take turns in it
 
     def run(self, view: ViewTensors, share: float) -> None:
@@ -51,19 +56,19 @@ class FitSteps:
             self._cameras.setdefault(size, _copy(view))
             self._step(view, fixed_room=False)
         else:
-            if size not in self._graphs:
+            if size not in self.graphs:
                 with deferred_interrupts():  # a capture does not stay half done
-                    self._graphs[size] = self._captured(self._cameras[size])
+                    self.graphs[size] = self._captured(self._cameras[size])
             self._cameras[size].viewmat.copy_(view.viewmat)
             self._cameras[size].K.copy_(view.K)
-            self._graphs[size].replay()
+            self.graphs[size].replay()
         self._done += 1
-        if self._graphs and self._done % LOOK_EVERY == 0 and self._capacity.is_short():
-            self._graphs.clear()
+        if self.graphs and self._done % LOOK_EVERY == 0 and self.capacity.is_short():
+            self.graphs.clear()
 
     def _captured(self, camera: ViewTensors) -> torch.cuda.CUDAGraph:
-        if not self._graphs:
-            self._capacity.measure()
+        if not self.graphs:
+            self.capacity.measure()
         if self._pool is None:
             self._pool = torch.cuda.MemPool()
         graph = torch.cuda.CUDAGraph()
@@ -79,12 +84,12 @@ class FitSteps:
             fixed_room: Render without reading numbers of pairs back.
         """
         adam = self.learning.adam
-        with self._capacity.step(fixed=fixed_room):
+        with self.capacity.step(fixed=fixed_room):
             image, wanted = self.exact.render(self.learning.splats, view), self.exact.image(view)
         shown = torch.where(wanted == 1.0, image.clamp(max=1.0), image)  # brighter than white is white
         with torch.autograd.set_multithreading_enabled(False):
             (shown - wanted).square().mean().backward()
-        adam.found_inf = self._capacity.overflow  # type: ignore[attr-defined]  # as torch.amp.GradScaler tells it
+        adam.found_inf = self.capacity.overflow  # type: ignore[attr-defined]  # as torch.amp.GradScaler tells it
         adam.step()
         adam.zero_grad()
 

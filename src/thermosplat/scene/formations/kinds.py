@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 from thermosplat.config import DecoderConfig, ModelConfig
-from thermosplat.scene.decoder import Decoder, Decoders, num_inputs
+from thermosplat.scene.decoder import Decoder, Decoders, SpectrumDecoders, num_inputs
 from thermosplat.scene.formations.decoded import DecodedFormation
 from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.formations.harmonic import HarmonicFormation
 from thermosplat.scene.formations.labels import LabelFormation
 from thermosplat.scene.formations.stacks import StackFormation
-from thermosplat.scene.spectrum_decoders import SpectrumDecoders
 from thermosplat.spectra import Spectrum
 
 FORMATIONS: list[type[Formation]] = [LabelFormation, StackFormation, DecodedFormation, HarmonicFormation]

@@ -129,3 +129,22 @@ def _info_of_frame(info: dict[str, Any], camera: int, frames: int) -> dict[str, 
         "n_cameras": 1,
         "spectra": info["spectra"],
     }
+
+
+class TakingPart(torch.autograd.Function):
+    """Depends on images without a gradient to them: autograd visits what made them, and adds nothing to it."""
+
+    @staticmethod
+    def forward(ctx: Any, *images: Tensor) -> Tensor:
+        """Zero, a scalar.
+
+        Args:
+            ctx: What the backward pass reads.
+            *images: Of all renderings that other ranks take part in.
+        """
+        return images[0].new_zeros(())
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        """No gradients."""
+        return (None,) * len(ctx.needs_input_grad)

@@ -6,10 +6,9 @@ from thermosplat.training.session.training_parts import Training
 from thermosplat.training.stages.budgets import BudgetStage
 from thermosplat.training.stages.cameras import CameraStage
 from thermosplat.training.stages.density import DensityStage
-from thermosplat.training.stages.image_sizes import ImageSizes, SweptDepthsStage
+from thermosplat.training.stages.image_sizes import ImageSizes, StartingSpectra, SweptDepthsStage
 from thermosplat.training.stages.noise import NoiseStage
 from thermosplat.training.stages.scenes import Beginnings, SceneStage
-from thermosplat.training.stages.starting_spectra import StartingSpectra
 from thermosplat.training.step_kind import Stage
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import ViewTensors
-from thermosplat.losses.swept_depth import swept_depth_loss
+from thermosplat.losses.image_terms import swept_depth_loss
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.spectra import label
 from thermosplat.training.frames.train_frames import TrainFrames
