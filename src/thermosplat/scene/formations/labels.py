@@ -23,9 +23,9 @@ from thermosplat.spectra import Spectrum, SpectrumConfig
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
 
-CROSS_ENTROPY = 0.05
-"""Weight of the cross-entropy [nats] beside losses of images, which are about 0.05 where cross-entropies are 1. Open
-choice; benchmarks/records/kinds.md."""
+CROSS_ENTROPY = 0.015
+"""Weight of the cross-entropy [nats] beside the losses of images. Open choice: with three times as much thermal images
+lose, and labels gain nothing (benchmarks/records/kinds.md)."""
 _NO_CLASS = -1
 _MIXED = 0.01
 """Distance from an 8-bit level from which on a colour is a mean of several [levels]."""
