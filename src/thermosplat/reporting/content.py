@@ -114,7 +114,7 @@ def _first_page(report: Report) -> Iterator[Block]:
     rows += [
         (words["capture"], capture.name),
         (words["folder"], str(capture.root)),
-        (words["run"], report.measurer.scene.name),
+        (words["run"], report.measurer.scene.name.replace(", step ", words["step"])),
         (words.field("date"), report.given(form.get("date", ""))),
         (words["made"], report.date),
         (words.field("instrument"), report.given(form.get("instrument", ""))),
@@ -222,7 +222,7 @@ def _finding(report: Report, number: int, one: Finding, entry: Entry) -> Iterato
 
 def _measurements(report: Report) -> Iterator[Block]:
     words, pages = report.words, report.pages
-    yield Heading(words["measurements"], new_page=True)
+    yield Heading(words["measurements"], new_page=bool(pages.measurements))
     if not pages.measurements:
         yield Paragraph(words["no_measurements"])
         return

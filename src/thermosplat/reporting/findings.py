@@ -157,7 +157,8 @@ class _Search:
         """
         cell = grid_cell(self._views)
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
-        known, fresh = list(self.findings), []
+        known = list(self.findings)
+        fresh: list[Finding] = []
         for region in find_regions(hot, cell, colder=self._colder):
             best = region.best_view
             view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)

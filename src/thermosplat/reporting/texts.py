@@ -51,6 +51,7 @@ _TEXTS = {
     "capture": ("Capture", "Aufnahme"),
     "folder": ("Folder", "Ordner"),
     "run": ("Run", "Lauf"),
+    "step": (", step ", ", Schritt "),
     "made": ("Report made", "Bericht erstellt"),
     "images": ("Images", "Bilder"),
     "spectrum": ("Evaluated spectrum", "Ausgewertetes Spektrum"),

@@ -149,7 +149,7 @@ def test_usd_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         write_format("usd", tmp_path, Described(scene_like_splats(3, 0), "rgb"))
 
 
-@pytest.mark.parametrize("format", sorted(HELD_DEGREES))
+@pytest.mark.parametrize("format", sorted(set(HELD_DEGREES) & set(SPLAT_FORMATS)))
 def test_a_format_without_room_for_a_degree_says_so(format: SplatFormat, tmp_path: Path) -> None:
     """Nothing is left out of a file in silence; where degree 4 is zero everywhere, there is nothing to leave out."""
     splats = random_splats(5, 4)

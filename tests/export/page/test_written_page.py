@@ -5,11 +5,14 @@ import gzip
 import hashlib
 import json
 import re
+from dataclasses import replace
 
 import pytest
+import torch
 
 from page_scenes import HOSTILE, page_layers, page_scene, random_splats
 from thermosplat.errors import UserError
+from thermosplat.export.formats.splat_formats import check_degree
 from thermosplat.export.page.packed_splats import packed
 from thermosplat.export.page.written_page import page_of
 from thermosplat.thermal.radiometry import FLIR_IRON
@@ -56,3 +59,12 @@ def test_nothing_to_see() -> None:
     splats.logit_opacities[:] = -9.0
     with pytest.raises(UserError, match="No Gaussian of this run can be seen"):
         packed(splats, 1)
+
+
+def test_harmonics_of_degree_four_are_refused() -> None:
+    """The page evaluates three degrees."""
+    splats = random_splats(5)
+    check_degree("html", "rgb", splats)
+    four = replace(splats, shN=torch.ones(5, 24, 3))
+    with pytest.raises(UserError, match="html holds spherical harmonics up to degree 3"):
+        check_degree("html", "rgb", four)
