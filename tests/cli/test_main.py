@@ -81,6 +81,7 @@ def test_mistakes_end_with_2() -> None:
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     """--help without a command; --version, too, needs none."""
     assert main(["--help"]) == 0
-    assert "thermosplat prepare|train|eval|render|view|export|measure|report|benchmark" in capsys.readouterr().out
+    commands = "prepare|train|eval|render|view|export|measure|report|compare|benchmark"
+    assert f"thermosplat {commands}" in capsys.readouterr().out
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"thermosplat {thermosplat.__version__}\n"

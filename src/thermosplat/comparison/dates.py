@@ -42,7 +42,8 @@ def opened_dates(
             "Name the capture of each run, in the same order.",
         )
     runs = [load_run(folder, device=device) for folder in folders]
-    opened = [(run, run.capture(data)) for run, data in zip(runs, captures or [None] * len(runs))]
+    places: list[str | None] = list(captures) or [None] * len(runs)
+    opened = [(run, run.capture(data)) for run, data in zip(runs, places)]
     spectrum = _measured(runs[0])
     unit = runs[0].scales[spectrum].measured_unit
     for run in runs[1:]:

@@ -152,10 +152,10 @@ def write_page(
         rows: Of the table over time.
     """
     known = np.concatenate([one.values[np.isfinite(one.values)] for one in maps])
-    span = tuple(np.percentile(known, _SPAN)) if len(known) else (0.0, 1.0)
+    low, high = np.percentile(known, _SPAN).tolist() if len(known) else (0.0, 1.0)
     pictures = folder / "pictures"
     for number, one in enumerate(maps):
-        write_png(pictures / f"date_{number}.png", _colours(one.values, *span, "iron"))
+        write_png(pictures / f"date_{number}.png", _colours(one.values, low, high, "iron"))
     parts = [f"<p>{html.escape(line)}</p>" for line in content["sentences"]]
     for later, (found, stated) in enumerate(zip(changes, content["dates"]), 1):
         spread = _symmetric(found)
@@ -171,7 +171,7 @@ def write_page(
         parts.append(_table(stated["changes"], content["unit"], content["length_unit"]))
         for number, change in enumerate(found.found[:_SHOWN], 1):
             name = f"change_{later}_{number:03}.png"
-            write_png(pictures / name, _both(change, maps[0], maps[later], span))
+            write_png(pictures / name, _both(change, maps[0], maps[later], (low, high)))
             parts.append(f'<h3>{number}, {change.kind}</h3><img src="pictures/{name}" alt="">')
     if rows:
         head = "".join(f"<th>{html.escape(date.name)}</th>" for date in dates)

@@ -23,7 +23,7 @@ from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.prepare.structure.placing import similarity_by_weights
 from thermosplat.thermography.reprojection import coarse_view, resized, scene_points
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 _MOST_VIEWS, _NEAREST = 48, 6
 """Photographs of each date, and of how many of the other date each is looked for where positions say which are near."""
 _FEATURES = 1500

@@ -23,17 +23,17 @@ from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCame
 from thermosplat.prepare.registration.stereo_edges import EdgePoints, joined
 
 _POSE = UNKNOWNS[:6]
-_COARSE: Sequence[Stage] = (
-    (UNKNOWNS[:3], ((10, 4.0),) * 4),
-    (_POSE, ((10, 4.0),) * 5 + ((6, 2.0),) * 4 + ((3, 0.8),) * 4),
+_DIRECTION = (*UNKNOWNS[:3], "log_f")
+_WITH_LENS: Sequence[Stage] = (
+    (_DIRECTION, ((10, 4.0),) * 5),
+    ((*_DIRECTION, "k1"), ((10, 4.0),) * 4),
+    ((*_POSE, "log_f", "k1"), ((10, 4.0),) * 6 + ((6, 3.0),) * 6),
 )
-_QUICKLY = ((8, 3.0),) * 2 + ((6, 2.0),) * 3 + ((4, 1.2),) * 2
+"""Of the images of a piece at once: GPS misses each by some pixels of its own, which windows let pass."""
+_TOGETHER_STAGES: Sequence[Stage] = ((UNKNOWNS[:3], ((10, 4.0),) * 3), (_POSE, ((10, 4.0),) * 5 + ((6, 3.0),) * 4))
+_ALONE: Sequence[Stage] = ((_POSE, ((6, 2.5),) * 3 + ((4, 1.5),) * 4 + ((3, 0.8),) * 4),)
 _ADJUSTED = ((6, 2.5),) * 3 + ((4, 1.5),) * 4 + ((3, 0.8),) * 5
 """Search range and robust scale of each step of the adjustment, as in ``edge_alignment.STAGES``."""
-_LENGTHS = (0.85, 0.92, 1.0, 1.09, 1.18, 1.28)
-"""Times the focal length that correlates best, from which an adjustment begins."""
-_ADJUSTED_FOR_LENS = 24
-"""Images by which one of them is chosen."""
 _NEAR_BY_GPS = 6
 """Photographs whose directions are tried where GPS has images: those of strips to and fro, and oblique ones."""
 _STRAIGHT = 0.85
@@ -44,6 +44,8 @@ _EDGES_OF = 3
 """Photographs whose edges an image is aligned with."""
 _ASKED = 4
 """Pieces that tell the focal length, each by its best trial."""
+_FEWEST_AGREEING, _LENSES_AGREE = 3, 0.03
+"""Pieces whose edges must meet to tell a lens, and the median difference of their focal lengths, as a share."""
 _ROUNDS = 2
 _TRIED = 2
 """Best trials of a piece whose images are aligned."""
@@ -139,22 +141,30 @@ class Placement:
 
 
 def placed_images(
-    photographs: Photographs, slopes: Sequence[NDArray[np.float32]], gps: Sequence[Array | None]
-) -> Placement:
+    photographs: Photographs,
+    slopes: Sequence[NDArray[np.float32]],
+    gps: Sequence[Array | None],
+    lens: RigCamera | None = None,
+) -> Placement | None:
     """Place thermal images.
 
     Args:
         photographs: The photographs.
         slopes: Slopes [H, W, 2] of each thermal image, in the order in which they were taken.
         gps: Where GPS has each, in the world, [3]; None: it does not say.
+        lens: Their lens, where a board showed it; None: the images tell it.
+
+    Returns:
+        None where the images do not tell their lens.
     """
-    height, width = slopes[0].shape[:2]
     fields = [edge_field(field) for field in slopes]
     pieces = _pieces(gps)
-    lens = RigCamera.looking_along(width, height, _focal_length(photographs, fields, gps, pieces, width, height))
+    lens = lens or _first_lens(photographs, slopes, fields, gps, pieces)
+    if lens is None:
+        return None
     places: dict[int, Place] = {}
     with progress_bar("places", _ROUNDS * len(slopes)) as advance:
-        for again in range(_ROUNDS):
+        for _ in range(_ROUNDS):
             errors = list(gps_errors(places, gps).values())
             offset = np.median(errors, axis=0) if errors else np.zeros(3)
             moved = [None if place is None else place - offset for place in gps]
@@ -168,9 +178,7 @@ def placed_images(
                     places |= {number: place for number, place in found.items() if number not in places}
                 advance(len(piece))
             if places:
-                if not again:
-                    lens, places = _with_other_lens(photographs, slopes, places, lens)
-                lens, places = _adjusted(photographs, slopes, places, lens, _ADJUSTED)
+                lens, places = _adjusted(photographs, slopes, places, lens)
                 places = _sound(places, gps)
     return Placement(lens, places)
 
@@ -253,18 +261,68 @@ def _each(
     own: Array | None,
     lens: RigCamera,
 ) -> dict[int, Place]:
-    """The images of a piece, each aligned with all edges near it; those whose edges do not meet are missing."""
+    """The images of a piece, aligned together and then each alone; those whose edges do not meet are missing."""
+    together = align(lens, *_of_piece(photographs, slopes, piece, gps, rotation, own), stages=_TOGETHER_STAGES).camera
     found = {}
     for number in piece:
-        centre = gps[number] if own is None else own
-        assert centre is not None  # noqa: S101  images of a piece have positions, or one tries a place
-        edges = photographs.seen_from(photographs.near(rotation, centre), rotation, centre)
-        aligned = align(lens, edges, [slopes[number]], stages=_COARSE)
+        turned = together.rotation @ rotation
+        centre = _centre(gps, number, own) - turned.T @ together.translation
+        edges = photographs.seen_from(photographs.near(turned, centre), turned, centre)
+        camera = replace(lens, rotation=np.eye(3), translation=np.zeros(3))
+        aligned = align(camera, edges, [slopes[number]], stages=_ALONE)
         met = aligned.frames.get(0)
         if met is not None and met.near >= _FEWEST_MET and met.near >= _ABOVE_CHANCE * met.by_chance:
-            turned = aligned.camera.rotation @ rotation
-            found[number] = Place(turned, centre - turned.T @ aligned.camera.translation, met)
+            again = aligned.camera.rotation @ turned
+            found[number] = Place(again, centre - again.T @ aligned.camera.translation, met)
     return found
+
+
+def _of_piece(
+    photographs: Photographs,
+    slopes: Sequence[NDArray[np.float32]],
+    piece: Sequence[int],
+    gps: Sequence[Array | None],
+    rotation: Array,
+    own: Array | None,
+) -> tuple[EdgePoints, list[NDArray[np.float32]]]:
+    """Edges that the images of a piece see if they look one way from where GPS has them, and their slopes."""
+    parts = []
+    for frame, number in enumerate(piece):
+        centre = _centre(gps, number, own)
+        parts.append(photographs.seen_from(photographs.near(rotation, centre), rotation, centre, frame))
+    return joined(parts), [slopes[number] for number in piece]
+
+
+def _centre(gps: Sequence[Array | None], number: int, own: Array | None) -> Array:
+    """Where an image is tried: where GPS has it, or at a photograph's place."""
+    stated = gps[number]
+    return stated if own is None and stated is not None else np.asarray(own)
+
+
+def _first_lens(
+    photographs: Photographs,
+    slopes: Sequence[NDArray[np.float32]],
+    fields: Sequence[NDArray[np.complex64]],
+    gps: Sequence[Array | None],
+    pieces: Sequence[Sequence[int]],
+) -> RigCamera | None:
+    """The lens that several pieces tell when each is aligned with the lens free; None where they do not agree.
+
+    Flat ground looks the same through a longer lens from farther away.
+    """
+    height, width = slopes[0].shape[:2]
+    start = RigCamera.looking_along(width, height, _focal_length(photographs, fields, gps, pieces, width, height))
+    lenses = []
+    for piece in sorted(pieces, key=lambda one: -len(one))[:_ASKED]:
+        _, rotation, own = _trials(photographs, {i: fields[i] for i in piece}, gps, start)[0]
+        found = align(start, *_of_piece(photographs, slopes, piece, gps, rotation, own), stages=_WITH_LENS)
+        if found.near >= _ABOVE_CHANCE * found.by_chance:
+            lenses.append(found.camera.lens)
+    if len(lenses) < _FEWEST_AGREEING:
+        return None
+    middle = np.median(lenses, axis=0)
+    apart = np.abs(np.log(np.array(lenses)[:, 0] / middle[0]))
+    return replace(start, lens=middle) if float(np.median(apart)) < _LENSES_AGREE else None
 
 
 def _adjusted(
@@ -272,9 +330,6 @@ def _adjusted(
     slopes: Sequence[NDArray[np.float32]],
     places: Mapping[int, Place],
     lens: RigCamera,
-    windows: Sequence[tuple[float, float]],
-    *,
-    fixed_lens: bool = False,
 ) -> tuple[RigCamera, dict[int, Place]]:
     """All poses and the lens together: Gauss-Newton steps, with the poses eliminated (Schur complement)."""
     numbers = list(places)
@@ -287,9 +342,9 @@ def _adjusted(
             photographs.seen_from(photographs.near(*cameras[n]), *cameras[n], frame) for frame, n in enumerate(numbers)
         )
 
-    for reach, scale in windows:
+    for reach, scale in _ADJUSTED:
         frame, rows, offsets, weights = matched_rows(at_rest, seen(), fields, reach, scale)
-        steps, of_lens = _solved(frame, rows, offsets, weights, len(numbers), at_rest.width, fixed_lens)
+        steps, of_lens = _solved(frame, rows, offsets, weights, len(numbers), at_rest.width)
         at_rest = at_rest.moved(np.concatenate([np.zeros(6), of_lens]))
         for step, n in zip(steps, numbers):
             rotation, centre = cameras[n]
@@ -299,35 +354,6 @@ def _adjusted(
     return at_rest, {n: Place(*cameras[n], met[frame]) for frame, n in enumerate(numbers) if frame in met}
 
 
-def _with_other_lens(
-    photographs: Photographs,
-    slopes: Sequence[NDArray[np.float32]],
-    places: Mapping[int, Place],
-    lens: RigCamera,
-) -> tuple[RigCamera, dict[int, Place]]:
-    """The focal length by which most edges meet, each image moved back by what it magnifies more.
-
-    Of flat ground, a longer lens from farther away makes the same picture: an adjustment alone does not get from one to
-    the other past the edges of roofs.
-    """
-    some = dict(list(places.items())[:: -(-len(places) // _ADJUSTED_FOR_LENS)])
-    found = []
-    for factor in _LENGTHS:
-        other = replace(lens, lens=lens.lens * np.array([factor, 1, 1, 1, 1]))
-        moved = {number: _moved_back(photographs, place, factor) for number, place in some.items()}
-        made = _adjusted(photographs, slopes, moved, other, _QUICKLY)
-        found.append((sum(place.met.near - place.met.by_chance for place in made[1].values()), factor, made[0]))
-    _, factor, other = max(found, key=lambda one: one[0])
-    return other, {number: _moved_back(photographs, place, factor) for number, place in places.items()}
-
-
-def _moved_back(photographs: Photographs, place: Place, factor: float) -> Place:
-    """A place from which a lens that is longer by a factor sees most edges as large."""
-    near = photographs.near(place.rotation, place.centre, 1)
-    depth = float(np.median(photographs.seen_from(near, place.rotation, place.centre).points[:, 2]))
-    return replace(place, centre=place.centre - (factor - 1) * depth * place.rotation[2])
-
-
 def _solved(
     frame: NDArray[np.int64],
     rows: Array,
@@ -335,7 +361,6 @@ def _solved(
     weights: Array,
     count: int,
     width: int,
-    fixed_lens: bool = False,
 ) -> tuple[Array, Array]:
     """Steps of the poses [count, 6] and of the lens [5], of least weighted squares."""
     spreads = np.array([0.3, 0.04 * width, 0.04 * width, 0.6, 0.4])  # of the lens; images say far more
@@ -349,7 +374,7 @@ def _solved(
         inverses[number], mixed[number], rights[number] = np.linalg.inv(damped), normal[:6, 6:], side[:6]
         of_lens += normal[6:, 6:] - mixed[number].T @ inverses[number] @ mixed[number]
         right += side[6:] - mixed[number].T @ inverses[number] @ rights[number]
-    lens = np.zeros(5) if fixed_lens else np.linalg.solve(of_lens, right)
+    lens = np.linalg.solve(of_lens, right)
     return np.einsum("nij,nj->ni", inverses, rights - mixed @ lens), lens
 
 

@@ -5,10 +5,12 @@ import numpy as np
 import pycolmap
 
 from thermosplat.datasets.geo_file import read_geo
+from thermosplat.datasets.lens import Lens
 from thermosplat.errors import UserError
+from thermosplat.prepare.calibration.calibration_file import read_calibration
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
-from thermosplat.prepare.registration.rig_camera import Array
+from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 from thermosplat.prepare.registration.rig_model import is_photograph, with_unpaired
 from thermosplat.prepare.registration.stereo_edges import photograph_edges
 from thermosplat.prepare.registration.thermal_edges import slopes
@@ -50,7 +52,15 @@ def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> li
         edges,
     )
     gps = _positions(capture, rows)
-    found = placed_images(photographs, [slopes(image) for image in thermal], gps)
+    calibration = read_calibration(capture.calibration_json)
+    lens = None if calibration is None else _of_a_board(calibration.thermal, thermal[0].shape)
+    found = placed_images(photographs, [slopes(image) for image in thermal], gps, lens)
+    if found is None:
+        raise UserError(
+            f"The thermal images of {capture.root} do not tell their focal length: flat ground looks the same through "
+            "a longer lens from farther away.",
+            "Calibrate the thermal camera with a board: thermosplat-prepare calibrate --help",
+        )
     if len(found.places) < FEWEST_PLACED:
         raise UserError(
             f"{len(found.places)} of {counted(len(rows), 'thermal image')} of {capture.root} could be placed among the "
@@ -64,6 +74,21 @@ def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> li
     }
     write_model(with_unpaired(model, found.lens, poses_by_file), capture.sparse)
     return _said(found, rows, gps)
+
+
+def _of_a_board(lens: Lens, shape: tuple[int, ...]) -> RigCamera:
+    """The lens that a board showed.
+
+    Raises:
+        UserError: It is of images of another size.
+    """
+    if (lens.height, lens.width) != shape[:2]:
+        raise UserError(
+            f"calibration.json is for thermal images of {lens.width}x{lens.height} px, and these have "
+            f"{shape[1]}x{shape[0]} px.",
+            "Calibrate with the settings of the capture, or delete calibration.json.",
+        )
+    return RigCamera(np.eye(3), np.zeros(3), np.array(lens.params), lens.width, lens.height)
 
 
 def _positions(capture: CaptureFolder, rows: list[FrameRow]) -> list[Array | None]:
