@@ -1,36 +1,60 @@
-"""m"""
+"""One loaded scene, rendered from many poses without compiling its kernels again."""
 
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_POSE = "sensor.to_world"
 
 
 class Renderer:
-    """One loaded scene, re-rendered from many poses without recompiling kernels."""
+    """A scene and its camera.
 
-    def __init__(self, scene, W, H):
-        self.scene, self.W, self.H = scene, W, H
-        self.params = mi.traverse(scene)
-        self.key = [k for k in self.params.keys() if k.endswith("sensor.to_world") or k == "sensor.to_world"][0]
+    Args:
+        scene: As ``band_scenes`` makes it.
+        size: Width and height of its images.
+        integrator: In place of the scene's own.
+    """
 
-    def pose(self, c2w):
-        self.params[self.key] = mi.Transform4f(c2w)
-        self.params.update()
+    def __init__(self, scene: Any, size: tuple[int, int], integrator: Any = None) -> None:
+        self.scene, self.size, self.integrator = scene, size, integrator or scene.integrator()
+        self._params = mi.traverse(scene)
+        self._key = next(key for key in self._params.keys() if key.endswith(_POSE))  # noqa: SIM118  (no mapping)
 
-    def image(self, c2w, spp, seed):
-        self.pose(c2w)
-        return np.array(mi.render(self.scene, spp=spp, seed=seed))[..., :3].astype(np.float32)
+    def image(self, pose: Array, samples: int, seed: int) -> NDArray[np.float32]:
+        """Radiance, [H, W, 3].
 
-    def first_hit(self, c2w):
-        """(z-depth, shape id) through pixel centres; depth 0 where nothing is hit."""
-        self.pose(c2w)
-        W, H = self.W, self.H
-        i = dr.arange(mi.UInt32, W * H)
-        pos = mi.Point2f((mi.Float(i % W) + 0.5) / W, (mi.Float(i // W) + 0.5) / H)
-        ray, _ = self.scene.sensors()[0].sample_ray(0.0, 0.5, pos, mi.Point2f(0.5, 0.5))
-        si = self.scene.ray_intersect(ray)
-        p = np.array(si.p).reshape(3, -1) if np.array(si.p).shape[0] == 3 else np.array(si.p).T
-        z = np.where(np.array(si.is_valid()), c2w[:3, 2] @ (p - c2w[:3, 3:4]), 0)
-        ids = np.array(dr.reinterpret_array(mi.UInt32, si.shape))
-        return z.reshape(H, W).astype(np.float32), ids.reshape(H, W)
+        Args:
+            pose: Camera to world in Mitsuba's axes, [4, 4].
+            samples: Per pixel.
+            seed: Of their places.
+        """
+        self._place(pose)
+        image = mi.render(self.scene, integrator=self.integrator, spp=samples, seed=seed)
+        return np.array(image)[..., :3].astype(np.float32)
 
-    def shape_ids(self):
-        return {s.id(): int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)))[0]) for s in self.scene.shapes()}
+    def first_hit(self, pose: Array) -> tuple[NDArray[np.float32], NDArray[Any]]:
+        """z-depths [m] and numbers of shapes at the pixels' centres, each [H, W]; depth 0 where nothing is hit."""
+        self._place(pose)
+        width, height = self.size
+        pixel = dr.arange(mi.UInt32, width * height)
+        place = mi.Point2f((mi.Float(pixel % width) + 0.5) / width, (mi.Float(pixel // width) + 0.5) / height)
+        ray, _ = self.scene.sensors()[0].sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
+        hit = self.scene.ray_intersect(ray)
+        places = np.array(hit.p).reshape(3, -1)
+        depths = np.where(np.array(hit.is_valid()), pose[:3, 2] @ (places - pose[:3, 3:4]), 0)
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, hit.shape))
+        return depths.reshape(height, width).astype(np.float32), numbers.reshape(height, width)
+
+    def numbers(self) -> dict[str, int]:
+        """The shapes' numbers by their names."""
+        shapes = self.scene.shapes()
+        return {s.id(): int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s)))[0]) for s in shapes}
+
+    def _place(self, pose: Array) -> None:
+        self._params[self._key] = mi.Transform4f(pose)
+        self._params.update()
