@@ -69,6 +69,7 @@ def _render(options: argparse.Namespace) -> None:
     for name in ("views", "samples", "electrons"):
         if getattr(options, name) is not None and getattr(options, name) <= 0:
             raise UserError(f"--{name} must be more than 0.")
+    size = _size(options.size) if getattr(options, "size", None) is not None else None
     from rendered_captures.rendering.start import start
 
     start(options.variant)
@@ -79,11 +80,11 @@ def _render(options: argparse.Namespace) -> None:
     if options.what in _PAIRED:
         from rendered_captures.files.paired import Paired, write_paired
 
-        if options.size is not None:
-            common.update(zip(("width", "height"), _size(options.size), strict=True))
+        if size is not None:
+            common.update(width=size[0], height=size[1])
         write_paired(Paired(options.what, **common), options.out)
     else:
-        from rendered_captures.files.two_cameras import Variant
+        from rendered_captures.files.mount import Variant
 
         own = {"size_factor": options.size_factor, "unpaired": options.unpaired, "readout": options.readout}
         variant = Variant(**common, **own)

@@ -10,7 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from rendered_captures.files.flight_plan import Fix, flight_mount, photograph_exif
-from rendered_captures.files.two_cameras import Variant, write_two_cameras
+from rendered_captures.files.mount import Variant
+from rendered_captures.files.two_cameras import write_two_cameras
 from rendered_captures.planck import temperature_of
 from rendered_captures.rendering.band_scenes import DEPTH_THERMAL, ambient, film, thermal_scene
 from rendered_captures.rendering.emission_path import emission_path

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendered_captures.files.two_cameras import Mount, Variant
+from rendered_captures.files.mount import Mount, Variant
 from rendered_captures.scenes.block import DEPTH, WIDTH, block
 from rendered_captures.sensors.lens import Lens
 
@@ -14,8 +14,10 @@ Array = NDArray[np.float64]
 Fix = tuple[float, float, float]
 """Latitude, longitude [degrees] and altitude [m]."""
 _ALTITUDE = 34.0
-_PUBLISHED = (101, 82)
+_PLANNED = (104, 82)
 """Frames of the two dates."""
+_LANDED = 101
+"""Frames after which the first date's published flight ends."""
 _ORIGIN: Fix = (47.0512, 8.3064, 452.0)
 _DAYS = ("20260612", "20260619")
 _SECONDS = 3
@@ -41,6 +43,9 @@ def flight_mount(date: int, variant: Variant) -> Plan:
     seed = 3 if variant.seed is None else variant.seed
     scene, anomalies = block(seed, date)
     poses = flight_poses(seed, date, variant.views)
+    metered = len(poses) // 3
+    if date == 0 and variant.views is None:
+        poses = poses[:_LANDED]
     seconds = [36000 + _SECONDS * k for k in range(len(poses))]
     clock = [f"{s // 3600:02d}{s // 60 % 60:02d}{s % 60:02d}" for s in seconds]
     names = [f"DJI_{_DAYS[date]}{time}_{k + 1:04d}" for k, time in enumerate(clock)]
@@ -56,7 +61,7 @@ def flight_mount(date: int, variant: Variant) -> Plan:
         samples=(40, 28),
         seeds=(seed, date),
         jpeg=87,
-        metered=len(poses) // 3,
+        metered=metered,
         drift=None,
         jump_every=24,
     )
@@ -73,9 +78,9 @@ def flight_poses(seed: int, date: int, views: int | None = None) -> list[Array]:
     Args:
         seed: Draws the wind.
         date: 0 or 1: fewer strips, elsewhere.
-        views: About how many; None: as published.
+        views: About how many; None: as planned.
     """
-    density = 1.0 if views is None else views / _PUBLISHED[date]
+    density = 1.0 if views is None else views / _PLANNED[date]
     random, stations = np.random.default_rng([seed, date, 5]), []
     shift = (2.3, -1.7) if date else (0, 0)
     strips, along = (5, 10) if date else (6, 12)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rendered_captures.files.two_cameras import Mount, Variant, write_two_cameras
+from rendered_captures.files.mount import Mount, Variant
+from rendered_captures.files.two_cameras import write_two_cameras
 from rendered_captures.paths import look_at
 from rendered_captures.scenes.desk import desk
 from rendered_captures.sensors.lens import Lens

@@ -31,9 +31,10 @@ def write_model(
         How many points there are, and their mean error of reprojection [pixels].
     """
     width, height = size
-    focal = width / (2 * np.tan(np.radians(fov) / 2))
+    focal = float(width / (2 * np.tan(np.radians(fov) / 2)))
     camera = f"PINHOLE {width} {height} {focal!r} {focal!r} {width / 2} {height / 2}"
     pycolmap.set_random_seed(0)
+    pycolmap.logging.minloglevel = 2  # errors
     with tempfile.TemporaryDirectory() as folder:
         database, known = Path(folder) / "database.db", Path(folder) / "known"
         reader = pycolmap.ImageReaderOptions()

@@ -3,7 +3,6 @@
 import json
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,75 +10,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rendered_captures.files.mount import Mount, Variant
 from rendered_captures.files.raster import write_counts, write_jpeg
 from rendered_captures.paths import FLIP
 from rendered_captures.rendering.band_scenes import DEPTH_THERMAL, ambient, rgb_scene, thermal_scene
 from rendered_captures.rendering.emission_path import emission_path
 from rendered_captures.rendering.renderer import Renderer
-from rendered_captures.scene_builder import Builder
 from rendered_captures.sensors.lens import Lens
 from rendered_captures.sensors.photograph import developed, exposure_of
 from rendered_captures.sensors.shutter import LineMotion, motions
 from rendered_captures.sensors.thermal_image import counts, drifting_levels, sensed
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Variant:
-    """In what a capture differs from the published one."""
-
-    views: int | None = None
-    """Photographs; None: as published."""
-    samples: int | None = None
-    """Per pixel; None: as published."""
-    seed: int | None = None
-    size_factor: float = 1.0
-    """Of both images' width and height."""
-    unpaired: bool = False
-    """Thermal images are taken between the photographs, not with them."""
-    drift: float | None = None
-    """Span of the thermal camera's levels [K]; None: as published."""
-    jump_every: int | None = None
-    """Frames between two closings of its shutter; None: as published."""
-    electrons: float | None = None
-    """At white of photographs in the dark; None: by day."""
-    readout: float = 0.0
-    """Time from the first line of a thermal image to its last, as a share of the time between frames; 0: at once."""
-
-
-@dataclass(frozen=True)
-class Mount:
-    """Two cameras that move through a scene."""
-
-    scene: Builder
-    poses: list[Array]
-    """Of the photographs: camera to world in Mitsuba's axes, each [4, 4]."""
-    visible: Lens
-    thermal: Lens
-    turn: tuple[float, float, float]
-    """Of the thermal camera in the photographic one's axes, a rotation vector [degrees]."""
-    offset: tuple[float, float, float]
-    """Where it is there [m]."""
-    photographs: list[str]
-    thermal_images: list[str]
-    """Names of the files."""
-    samples: tuple[int, int]
-    """Per pixel of photographs and thermal images."""
-    seeds: tuple[int, ...]
-    """The first is that of the renders."""
-    jpeg: int
-    """Quality."""
-    metered: int | None = None
-    """Which photograph sets the exposure of all; None: all do."""
-    drift: float | None = 0.0
-    jump_every: int = 0
-    exif: dict[str, bytes] = field(default_factory=dict)
-    """By photograph."""
-
-    def rng(self, *key: int) -> np.random.Generator:
-        """Chance for one purpose."""
-        return np.random.default_rng([*self.seeds, *key])
 
 
 def write_two_cameras(mount: Mount, variant: Variant, out: Path) -> dict[str, Any]:
