@@ -1,0 +1,1 @@
+"""From a scene to the files of a capture."""

@@ -1,0 +1,1 @@
+"""From a scene to radiance, by Mitsuba 3."""

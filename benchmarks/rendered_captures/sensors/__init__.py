@@ -1,0 +1,1 @@
+"""From radiance to the images of cameras."""
