@@ -54,7 +54,7 @@ def write_two_cameras(mount: Mount, variant: Variant, out: Path) -> dict[str, An
     if variant.unpaired:
         truth["thermal_camera_to_world"] = _listed(mount.thermal_images, thermal_poses)
     if levels.any():
-        truth["level_drift_K"] = dict(zip(mount.thermal_images, levels.round(3).tolist(), strict=True))
+        truth["level_drift_K"] = dict(zip(mount.thermal_images, levels.astype(float).round(3).tolist(), strict=True))
     if variant.readout > 0:
         shutter = {"thermal": {"readout": variant.readout, "interval": 1}}
         (out / "shutter.json").write_text(json.dumps(shutter))

@@ -45,8 +45,8 @@ _POSE = "Expected a 4x4 camera-to-world matrix with a rotation of unit length, a
 _INTRINSICS = "Expected numbers in pixels, for all frames or for each: w, h, fl_x, fl_y, cx, cy, k1, k2, p1, p2."
 
 
-def frame_viewmat(entry: dict[str, Any], path: Path, number: int) -> NDArray[np.float64]:
-    """World-to-camera pose with OpenCV axes from the camera-to-world pose with OpenGL axes."""
+def frame_viewmat(entry: dict[str, Any], path: Path, number: int, *, to_camera: bool = False) -> NDArray[np.float64]:
+    """World-to-camera pose, OpenCV axes; from camera to world, OpenGL axes, or ``to_camera`` as it is stated."""
     try:
         pose = np.array(entry["transform_matrix"], np.float64)
     except (KeyError, ValueError, TypeError, OverflowError) as error:
@@ -58,7 +58,7 @@ def frame_viewmat(entry: dict[str, Any], path: Path, number: int) -> NDArray[np.
     pose = np.vstack([pose[:3], [0, 0, 0, 1]])
     if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(pose[:3, :3]) < 0:
         raise UserError(f"Frame {number} of {path}: transform_matrix is no rotation with a translation.", _POSE)
-    return np.asarray(np.linalg.inv(pose @ _OPENGL_TO_OPENCV), np.float64)
+    return pose if to_camera else np.asarray(np.linalg.inv(pose @ _OPENGL_TO_OPENCV), np.float64)
 
 
 def frame_lens(entry: dict[str, Any], content: dict[str, Any], path: Path, number: int, image: Path | None) -> Lens:

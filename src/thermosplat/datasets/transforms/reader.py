@@ -3,6 +3,9 @@
 The thermal image of a frame is its `thermal_file_path`, else the file of the same name in thermal/, and shares the
 photograph's camera; images of further spectra likewise. Names like frame_train_00001 and frame_eval_00001 state the
 split, as do train_filenames and test_filenames. temperature_bounds.json gives the temperatures of black and white.
+
+In the compilation of SEAR (arXiv 2603.18774) a frame holds an object per spectrum, "rgb" and "thermal", each with its
+file, its intrinsics and its world-to-camera pose with OpenCV axes.
 """
 
 import json
@@ -44,7 +47,7 @@ def list_transforms(
     """
     content = read_json(path)
     keys = file_keys(spectra)
-    entries = _entries(content, path, list(keys.values()), list(mask_keys(spectra).values()))
+    entries = _entries(content, path, keys, list(mask_keys(spectra).values()))
     names = [image_name(root, entry, keys) for entry in entries]
     splits, notes = stated_splits(content, path, names)
     _check_listed_once(names, path)
@@ -58,9 +61,12 @@ def list_transforms(
         if files is None:
             continue
         found.append(name)
-        viewmat = frame_viewmat(entry, path, number)
-        lens = frame_lens(entry, content, path, number, next(iter(files.values())).path)
-        shots = {spectrum: Shot(file.path, lens, viewmat, file.values, file.mask) for spectrum, file in files.items()}
+        shots = {}
+        for spectrum, file in files.items():
+            own = _own_view(entry, spectrum)
+            viewmat = frame_viewmat(own or entry, path, number, to_camera=own is not None)
+            lens = frame_lens(own or entry, content, path, number, (file if own else next(iter(files.values()))).path)
+            shots[spectrum] = Shot(file.path, lens, viewmat, file.values, file.mask)
         frames.append(FrameFiles(called[number], shots, None if splits is None else splits[name]))
     if not frames:
         first = next(iter(images.not_found.values()), names[0])
@@ -84,15 +90,25 @@ def list_transforms(
     )
 
 
-def _entries(content: dict[str, Any], path: Path, keys: Sequence[str], masks: Sequence[str]) -> list[dict[str, Any]]:
+def _own_view(entry: dict[str, Any], spectrum: str) -> dict[str, Any] | None:
+    """What a frame says of one spectrum alone, or None."""
+    own = entry.get(spectrum)
+    return own if isinstance(own, dict) and "transform_matrix" in own else None
+
+
+def _entries(
+    content: dict[str, Any], path: Path, named: Mapping[str, str], masks: Sequence[str]
+) -> list[dict[str, Any]]:
     """What the file says of each frame: an object that names its files under some of the keys, and perhaps masks."""
-    entries = content.get("frames")
+    entries, keys = content.get("frames"), list(named.values())
     hint = "Expected nerfstudio's transforms: under 'frames' a list of objects with file_path and transform_matrix."
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path} lists no frames.", hint)
     for number, entry in enumerate(entries):
         if not isinstance(entry, dict):
             raise UserError(f"Frame {number} of {path} must be an object, found {json.dumps(entry)[:60]}.", hint)
+        views = {key: _own_view(entry, spectrum) for spectrum, key in named.items()}
+        entry |= {key: view.get("file_path") for key, view in views.items() if view is not None}
         for key in (*keys, *masks):
             if not isinstance(entry.get(key) or "", str):
                 found = json.dumps(entry[key])[:60]
