@@ -374,7 +374,7 @@ def _solved(
         inverses[number], mixed[number], rights[number] = np.linalg.inv(damped), normal[:6, 6:], side[:6]
         of_lens += normal[6:, 6:] - mixed[number].T @ inverses[number] @ mixed[number]
         right += side[6:] - mixed[number].T @ inverses[number] @ rights[number]
-    lens = np.linalg.solve(of_lens, right)
+    lens: Array = np.linalg.solve(of_lens, right).astype(np.float64)
     return np.einsum("nij,nj->ni", inverses, rights - mixed @ lens), lens
 
 
