@@ -23,7 +23,7 @@ from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.prepare.structure.placing import similarity_by_weights
 from thermosplat.thermography.reprojection import coarse_view, resized, scene_points
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 _MOST_VIEWS, _NEAREST = 48, 6
 """Photographs of each date, and of how many of the other date each is looked for where positions say which are near."""
 _FEATURES = 1500
@@ -121,7 +121,7 @@ def _features_of(run: LoadedRun, view: View, spectrum: str) -> _Features:
     depth = run.model.render_depth(spectrum, coarse)
     points = scene_points(coarse, depth).double().cpu().numpy()
     known, rough = depth.cpu().numpy(), _rough(depth.cpu().numpy())
-    place = np.linalg.inv(view.viewmat)[:3, 3]
+    place = np.asarray(np.linalg.inv(view.viewmat)[:3, 3], np.float64)
     if descriptors is None:
         return _Features(np.zeros((0, 128), np.float32), np.zeros((0, 3)), 1.0, place)
     factor = np.array([coarse.width / small.shape[1], coarse.height / small.shape[0]])
