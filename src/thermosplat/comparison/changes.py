@@ -166,7 +166,7 @@ def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def _contrast(change: Array, inside: NDArray[np.bool_], ring: NDArray[np.bool_]) -> float:
-    """By how much more a change inside differs from that around than those around do; parts may be warmer or colder."""
+    """By how much more a change inside differs from those around than they do from each other, in the median."""
     parts = [change[mask & np.isfinite(change)] for mask in (inside, ring)]
     if not all(map(len, parts)):
         return 0.0

@@ -121,14 +121,16 @@ def _features_of(run: LoadedRun, view: View, spectrum: str) -> _Features:
     depth = run.model.render_depth(spectrum, coarse)
     points = scene_points(coarse, depth).double().cpu().numpy()
     known, rough = depth.cpu().numpy(), _rough(depth.cpu().numpy())
-    place: Array = np.linalg.inv(view.viewmat)[:3, 3].astype(np.float64)
+    place = np.asarray(np.linalg.inv(view.viewmat)[:3, 3], np.float64)
     if descriptors is None:
         return _Features(np.zeros((0, 128), np.float32), np.zeros((0, 3)), 1.0, place)
     factor = np.array([coarse.width / small.shape[1], coarse.height / small.shape[0]])
     at = (np.array([point.pt for point in keypoints]) + 0.5) * factor
     x, y = (np.clip(at[:, axis].astype(int), 0, size - 1) for axis, size in enumerate((coarse.width, coarse.height)))
     kept = (known[y, x] > 0) & ~rough[y, x]
-    unit = descriptors / np.maximum(np.abs(descriptors).sum(axis=1, keepdims=True), 1e-9)  # Arandjelović 2012
+    unit = descriptors / np.maximum(
+        np.abs(descriptors).sum(axis=1, keepdims=True), 1e-9
+    )  # RootSIFT (Arandjelović 2012)
     centre = (np.stack([x, y], axis=1) + 0.5)[kept]
     aside = (at[kept] - centre)[:, :, None] * _slopes(points)[y[kept], x[kept]]
     found = points[y, x][kept] + aside.sum(axis=1)

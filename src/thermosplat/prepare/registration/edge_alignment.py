@@ -106,9 +106,11 @@ def align(
     with progress_bar("alignment", len(steps)) as advance:
         for names, (reach, scale) in steps:
             free = np.array([UNKNOWNS.index(name) for name in names])
-            points, rows, offsets, weights = _weighted_rows(camera, edges, slopes, reach, scale)
+            points, offsets, normals = _matches(camera, edges, slopes, reach)
             if len(points) < _FEWEST_MATCHES:
                 return Alignment(camera, np.full(len(UNKNOWNS), np.inf), {})
+            rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
+            weights = 1 / (1 + (offsets / scale) ** 2) ** 2
             away = np.concatenate([np.zeros(3), camera.translation, [0.0], camera.lens[1:] - usual.lens[1:]])
             normal_matrix = (rows * weights[:, None]).T @ rows + np.diag(information)
             right_side = (rows * weights[:, None]).T @ offsets - information * away
@@ -119,43 +121,15 @@ def align(
             scatter = (weights * offsets**2).sum() / weights.sum()
             deviations[free] = np.sqrt(np.diag(inverse) * scatter)
             advance(1)
-    return Alignment(camera, deviations, meetings(camera, edges, slopes))
-
-
-def matched_rows(
-    camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]], reach: float, scale: float
-) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """What a step of an adjustment needs to know of the edges that find an edge.
-
-    Args:
-        camera: The camera.
-        edges: Edges of the photographs.
-        slopes: Slopes [H, W, 2] of each frame's thermal image.
-        reach: How far an edge is looked for [px of an image 320 px wide].
-        scale: Scale of the robust weight, likewise.
-
-    Returns:
-        The frame of each, [N]; how its offset changes with ``rig_camera.UNKNOWNS``, [N, 11]; the offset [px] and its
-        weight, [N].
-    """
-    finer = max(1.0, camera.width / _WIDTH)
-    points, rows, offsets, weights = _weighted_rows(camera, edges, slopes, finer * reach, finer * scale)
-    return edges.frame[points], rows, offsets, weights
-
-
-def _weighted_rows(
-    camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]], reach: float, scale: float
-) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Edge points that find an edge, the derivatives of its offset, the offset [px], and its robust weight."""
-    points, offsets, normals = _matches(camera, edges, slopes, reach)
-    rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
-    return points, rows, offsets, 1 / (1 + (offsets / scale) ** 2) ** 2
+    return Alignment(camera, deviations, _meetings(camera, edges, slopes))
 
 
 def edge_information(camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> Array:
     """[11, 11] what the matches of a camera that is aligned say of all unknowns, by the scatter of their residuals."""
     reach, scale = (max(1.0, camera.width / _WIDTH) * value for value in STAGES[-1][1][-1])
-    _, rows, offsets, weights = _weighted_rows(camera, edges, slopes, reach, scale)
+    points, offsets, normals = _matches(camera, edges, slopes, reach)
+    rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
+    weights = 1 / (1 + (offsets / scale) ** 2) ** 2
     scatter = (weights * offsets**2).sum() / max(weights.sum(), 1e-9)
     return (rows * weights[:, None]).T @ rows / max(scatter, 1e-9)
 
@@ -218,14 +192,8 @@ def _matches(
     return chosen[kept], found[kept], normals[kept]
 
 
-def meetings(camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> dict[int, Meeting]:
-    """In each frame, edge points with a thermal edge within 1 px, and those 8 px aside.
-
-    Args:
-        camera: The camera.
-        edges: Edges of the photographs.
-        slopes: Slopes [H, W, 2] of each frame's thermal image.
-    """
+def _meetings(camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> dict[int, Meeting]:
+    """In each frame, edge points with a thermal edge within 1 px, and those 8 px aside."""
     chosen, pixels, normals = _projected(camera, edges)
     within = np.arange(-1, 1.1, _STEP)
     here, left, right = (

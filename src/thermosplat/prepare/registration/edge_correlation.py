@@ -20,9 +20,9 @@ from thermosplat.prepare.registration.stereo_edges import EdgePoints
 
 WORKING_WIDTH = 96
 """Width [px] at which edges are compared."""
-FOCAL_LENGTHS = tuple(0.55 * 1.07**step for step in range(28))
+_FOCAL_LENGTHS = tuple(0.55 * 1.07**step for step in range(28))
 """In image widths: from 85° to 18° of view."""
-QUARTERS = (0.0, 90.0, 180.0, 270.0)
+_QUARTERS = (0.0, 90.0, 180.0, 270.0)
 _ROLLS = (-6.0, -3.0, 0.0, 3.0, 6.0)
 _COARSE_FRAMES, _FINE_FRAMES = 8, 20
 _SATURATION = 0.1
@@ -57,9 +57,13 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
     height, width = slopes[0].shape[:2]
     best: list[Match] = []
     for mirrored in (False, True):
-        thermal = {frame: edge_field(slopes[frame], mirrored) for frame in frames}
+        thermal = {frame: _edge_field(slopes[frame], mirrored) for frame in frames}
         coarse = max(
-            (best_shift(edges, thermal, width, height, f * width, angle) for f in FOCAL_LENGTHS for angle in QUARTERS),
+            (
+                _best_shift(edges, thermal, width, height, f * width, angle)
+                for f in _FOCAL_LENGTHS
+                for angle in _QUARTERS
+            ),
             key=lambda found: found[0],
         )
         best.append(Match(coarse[0], coarse[1], mirrored))
@@ -70,11 +74,11 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
 def _refined(match: Match, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> Match:
     """The match on more frames, with small turns about the optical axis."""
     frames = _spread(np.unique(edges.frame), _FINE_FRAMES)
-    thermal = {frame: edge_field(slopes[frame], match.mirrored) for frame in frames}
+    thermal = {frame: _edge_field(slopes[frame], match.mirrored) for frame in frames}
     camera = match.camera
     quarter = np.degrees(np.arctan2(camera.rotation[1, 0], camera.rotation[0, 0]))
     trials = [
-        best_shift(edges, thermal, camera.width, camera.height, camera.lens[0] * change, quarter + roll)
+        _best_shift(edges, thermal, camera.width, camera.height, camera.lens[0] * change, quarter + roll)
         for change in (0.965, 1.0, 1.035)
         for roll in _ROLLS
     ]
@@ -87,13 +91,8 @@ def _spread(frames: NDArray[np.int64], most: int) -> list[int]:
     return [int(frame) for frame in frames[np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int)]]
 
 
-def edge_field(slopes: NDArray[np.float32], mirrored: bool = False) -> NDArray[np.complex64]:
-    """Edges at the working size, [h, w]: strength, and twice the angle of the normal.
-
-    Args:
-        slopes: Slopes [H, W, 2] of a thermal image.
-        mirrored: It is to be mirrored.
-    """
+def _edge_field(slopes: NDArray[np.float32], mirrored: bool) -> NDArray[np.complex64]:
+    """[h, w] edges at the working size: strength, and twice the angle of the normal."""
     if mirrored:
         slopes = thermal_edges.mirrored(slopes)
     strength = np.hypot(slopes[..., 0], slopes[..., 1])
@@ -106,7 +105,7 @@ def edge_field(slopes: NDArray[np.float32], mirrored: bool = False) -> NDArray[n
     return (parts[0] + 1j * parts[1]).astype(np.complex64)
 
 
-def best_shift(
+def _best_shift(
     edges: EdgePoints,
     thermal: dict[int, NDArray[np.complex64]],
     width: int,
@@ -114,19 +113,7 @@ def best_shift(
     focal_length: float,
     angle: float,
 ) -> tuple[float, RigCamera]:
-    """The shift that fits best for one focal length and one turn about the optical axis.
-
-    Args:
-        edges: Edges of the photographs.
-        thermal: Edges of each frame's thermal image (``edge_field``).
-        width: Width of the thermal images [px].
-        height: Their height [px].
-        focal_length: [px].
-        angle: The turn [°].
-
-    Returns:
-        The normalised correlation, and the camera.
-    """
+    """The shift that fits best for one focal length [px] and one turn [°] about the optical axis."""
     camera = RigCamera.looking_along(width, height, focal_length, _turn(angle))
     h, w = next(iter(thermal.values())).shape
     scale = w / width

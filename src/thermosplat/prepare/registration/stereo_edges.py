@@ -5,7 +5,7 @@ semi-global matching (OpenCV) gives depths, and Canny's edges are taken to space
 around them. A silhouette belongs to the object in front.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,11 +75,6 @@ def photograph_edges(
                 chosen = _chosen(outline, most)
                 found.append(EdgePoints(np.full(len(chosen), number), points[chosen], along[chosen]))
             advance(1)
-    return joined(found)
-
-
-def joined(found: Iterable[EdgePoints]) -> EdgePoints:
-    """Edge points of several photographs as one."""
     empty = EdgePoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
     parts = [empty, *found]
     return EdgePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("frame", "points", "along")))
