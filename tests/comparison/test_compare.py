@@ -17,6 +17,7 @@ from thermosplat.comparison.dated_map import Date
 from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.scene.gaussians import SH_C0
 from thermosplat.scene.model import SceneModel
+from thermosplat.thermography.certainty import Sure
 
 rasterio = pytest.importorskip("rasterio")
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -24,7 +25,7 @@ TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 def date(name: str, path: Path, model: SceneModel, capture: Any, to_first: MapFrame) -> Date:
     """A date whose intervals are 0.4 °C either way."""
-    sure = SimpleNamespace(of_view=lambda view, shown: SimpleNamespace(half_width=np.full(shown.shape, 0.4)))
+    sure = SimpleNamespace(of_view=lambda view, shown: Sure(np.full(shown.shape, 0.4), np.zeros(shown.shape, np.uint8)))
     run: Any = SimpleNamespace(
         model=model,
         scales=capture.scales,

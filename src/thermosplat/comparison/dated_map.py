@@ -13,6 +13,7 @@ from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.export.maps.orthomosaic import MapGrid
 from thermosplat.scene.rendered_frame import LEAST_COVER
 from thermosplat.thermal.intensity import pixel_intensity
+from thermosplat.thermography.certainty import FEW_VIEWS, NO_SURFACE
 
 Array = NDArray[np.float32]
 _PART = 256
@@ -53,7 +54,8 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
     """Render a date.
 
     A cold surface may be as dark as what lies behind the scene, and training leaves it transparent there. Then values
-    count where photographs have a surface, with the usual interval of the map, and no height is known.
+    count where photographs have a surface, and no height is known. What fewer than three thermal images saw, as at the
+    edge of a flight, counts nowhere.
 
     Args:
         date: The date.
@@ -73,16 +75,15 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
         cover = {name: rendered.alphas[name][..., 0].cpu().numpy() >= LEAST_COVER for name in (spectrum, leading)}
         there = cover[spectrum] | cover[leading]
         shown = scale.value(pixel_intensity(rendered.images[spectrum].clamp(0, 1), scale)).cpu().numpy()
-        values[at] = np.where(there, shown, np.nan)
         heights[at] = np.where(cover[spectrum] & (depth > 0), part.top - depth * own.frame.scale, np.nan)
         if there.any():
-            half_widths[at] = np.where(there, certainty.of_view(view, values[at]).half_width, np.nan)
+            sure = certainty.of_view(view, np.where(there, shown, np.nan))
+            read = there & (sure.doubts & (FEW_VIEWS | NO_SURFACE) == 0)
+            values[at] = np.where(read, shown, np.nan)
+            half_widths[at] = np.where(read, sure.half_width, np.nan)
         if photographs is not None:
             colours = rendered.images[leading].clamp(0, 1).cpu().numpy()
             seen[at] = np.where(there[..., None], colours, np.nan)
-    known = np.isfinite(half_widths)
-    usual = float(np.median(half_widths[known])) if known.any() else 0.0
-    half_widths = np.where(np.isfinite(values) & ~known, usual, half_widths)
     return DatedMap(values, half_widths, heights, seen if photographs is not None else None)
 
 
