@@ -162,7 +162,7 @@ def write_page(
         write_png(pictures / f"difference_{later}.png", _colours(found.differences, *spread, "blue red"))
         parts.append(
             f"<h2>{html.escape(stated['name'])}</h2>"
-            f"<p>{html.escape(stated['said'])} Draw the corner of the picture.</p>"
+            f"<p>{html.escape(stated['said'])} Drag the corner of the picture.</p>"
             f'<div class="wipe"><img src="pictures/date_{later}.png" alt="later"><div>'
             '<img src="pictures/date_0.png" alt="first"></div></div>'
             f"<p>Difference, blue {spread[0]:.1f} to red {spread[1]:+.1f}:</p>"
