@@ -66,6 +66,7 @@ SIDEBAR = {
         "docs/contributing/*",
         "benchmarks/README",
         "benchmarks/peers/README",
+        "benchmarks/rendered_captures/README",
         "benchmarks/records/README",
         "benchmarks/notes/README",
         "tests/fixtures/README",
