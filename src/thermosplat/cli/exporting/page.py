@@ -56,7 +56,7 @@ def export_page(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path)
     x, y, z = (placement.unit * viewed.focus).tolist()
     marks, metres = _marks(arguments, loaded, viewed)
     about = PageScene(
-        title=loaded.directory.path.resolve().name,
+        title=capture.root.resolve().name,
         views=views,
         start=len(views) // 2,
         up=tuple(viewed.up.tolist()),
