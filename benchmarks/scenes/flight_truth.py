@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.colmap.similarity import similarity_by_weights
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ class FlightTruth:
     """Side of a pixel [m]."""
 
     def placed(self, capture: Capture, leading: str, points: Array) -> tuple[Array, float]:
-        """Points of a capture's world in the truth's frame, by the similarity of the cameras (Umeyama 1991).
+        """Points of a capture's world in the truth's frame, by the similarity of the cameras.
 
         Args:
             capture: Whose cameras are compared.
@@ -42,12 +43,8 @@ class FlightTruth:
             if view is not None and true is not None:
                 pairs.append((np.linalg.inv(view.viewmat)[:3, 3], true))
         ours, truth = (np.array(side) for side in zip(*pairs, strict=True))
-        centred, target = ours - ours.mean(axis=0), truth - truth.mean(axis=0)
-        left, singular, right = np.linalg.svd(target.T @ centred)
-        signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-        matrix = (singular * signs).sum() / (centred**2).sum() * (left * signs) @ right
-        moved = (np.asarray(places) - ours.mean(axis=0) for places in (ours, points))
-        cameras, placed = (offset @ matrix.T + truth.mean(axis=0) for offset in moved)
+        matrix = similarity_by_weights(ours, truth, np.ones(len(ours)))
+        cameras, placed = (places @ matrix[:, :3].T + matrix[:, 3] for places in (ours, points))
         return placed, float(np.median(np.linalg.norm(cameras - truth, axis=1)))
 
     def at(self, places: Array) -> NDArray[np.float32]:

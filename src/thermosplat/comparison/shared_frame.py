@@ -9,18 +9,17 @@ similarity between the scenes, by Tukey's weights.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2  # before pycolmap, see datasets/lens.py
+import cv2
 import numpy as np
-import pycolmap
 import torch
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture, View
+from thermosplat.datasets.colmap.similarity import ransac_similarity, similarity_by_weights
 from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import LoadedRun
 from thermosplat.export.maps.map_frame import MapFrame
-from thermosplat.prepare.structure.placing import similarity_by_weights
 from thermosplat.thermography.reprojection import coarse_view, resized, scene_points
 
 Array = NDArray[np.float64]
@@ -36,6 +35,8 @@ _WITHIN = 0.01
 _FEWEST = 12
 """Matches that agree, below which two photographs show nothing in common."""
 _FEWEST_TOGETHER = 60
+_TRIALS_OF_TWO, _TRIALS_OF_ALL = (200, 3000), (500, 5000)
+"""The fewest and the most similarities that are tried for two photographs, and for all."""
 _ROUNDS = 20
 _TUKEY = 4.7
 """Robust standard deviations beyond which a pair has no weight (Holland and Welsch 1977)."""
@@ -182,23 +183,16 @@ def _matched(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> tuple[ND
 
 def _agreeing(source: Array, target: Array, within: float) -> NDArray[np.bool_]:
     """Pairs of points that one similarity brings together."""
-    options = pycolmap.RANSACOptions(max_error=within, min_num_trials=200, max_num_trials=3000, random_seed=0)
-    found = pycolmap.estimate_sim3d_robust(source, target, options)
-    similarity = found["tgt_from_src"] if isinstance(found, dict) else found
-    if similarity is None:
+    matrix = ransac_similarity(source, target, within, _TRIALS_OF_TWO)
+    if matrix is None:
         return np.zeros(len(source), bool)
-    matrix = similarity.matrix()
     return np.asarray(np.linalg.norm(source @ matrix[:, :3].T + matrix[:, 3] - target, axis=1) < within)
 
 
 def _together(source: Array, target: Array, depth: Array) -> SharedFrame:
     """The similarity of all pairs; those of photographs that were fooled have no weight in the end."""
-    options = pycolmap.RANSACOptions(
-        max_error=_WITHIN * float(np.median(depth)), min_num_trials=500, max_num_trials=5000, random_seed=0
-    )
-    found = pycolmap.estimate_sim3d_robust(source, target, options)
-    similarity = found["tgt_from_src"] if isinstance(found, dict) else found
-    matrix = np.eye(4)[:3] if similarity is None else similarity.matrix()
+    start = ransac_similarity(source, target, _WITHIN * float(np.median(depth)), _TRIALS_OF_ALL)
+    matrix = np.eye(4)[:3] if start is None else start
 
     def apart() -> Array:
         return np.asarray(np.linalg.norm(source @ matrix[:, :3].T + matrix[:, 3] - target, axis=1) / depth)
@@ -208,6 +202,5 @@ def _together(source: Array, target: Array, depth: Array) -> SharedFrame:
         far = distances / (_TUKEY * max(float(np.median(distances)), 1e-9) / 1.538)  # the median of three dimensions
         matrix = similarity_by_weights(source, target, np.where(far < 1, (1 - far**2) ** 2, 0.0) / depth**2)
     kept = far < 1
-    scale = float(np.cbrt(np.linalg.det(matrix[:, :3])))
     residual = float(np.median((apart() * depth)[kept]))
-    return SharedFrame(MapFrame(matrix[:, :3] / scale, scale, matrix[:, 3]), residual, int(kept.sum()))
+    return SharedFrame(MapFrame.of_similarity(matrix), residual, int(kept.sum()))

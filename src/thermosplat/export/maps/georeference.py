@@ -3,12 +3,14 @@
 import csv
 import io
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture
+from thermosplat.datasets.colmap.similarity import ransac_similarity
 from thermosplat.datasets.geo_file import GeoFrame
 from thermosplat.datasets.placement import Placement
 from thermosplat.errors import UserError
@@ -109,24 +111,18 @@ def aligned_frame(centres: NDArray[np.float64], places: NDArray[np.float64], crs
     Raises:
         UserError: No similarity fits.
     """
-    import pycolmap
-
     middle = places.mean(axis=0)  # RANSAC runs near zero, where float64 has digits to spare
-    options = pycolmap.RANSACOptions(max_error=_RANSAC_ERROR, random_seed=0)
-    found = pycolmap.estimate_sim3d_robust(centres, places - middle, options)
-    similarity = found["tgt_from_src"] if isinstance(found, dict) else found
-    if similarity is None:
+    matrix = ransac_similarity(centres, places - middle, _RANSAC_ERROR)
+    if matrix is None:
         raise UserError(
             f"The cameras' GPS positions in {TABLE} do not fit their poses.",
             "Is it the table of this capture? Remove latitude and longitude from it for a map in local units.",
         )
-    matrix = similarity.matrix()
-    scale = float(np.cbrt(np.linalg.det(matrix[:, :3])))
-    rotation, offset = matrix[:, :3] / scale, matrix[:, 3] + middle
-    frame = MapFrame(rotation, scale, offset, crs)
+    matrix[:, 3] += middle
+    frame = MapFrame.of_similarity(matrix, crs)
     error = np.linalg.norm(frame.to_map(centres) - places, axis=1)
     note = f"{len(centres)} cameras with GPS: {crs}, median distance {np.median(error):.2f} m."
-    return MapFrame(rotation, scale, offset, crs, note)
+    return replace(frame, note=note)
 
 
 def utm_coordinates(places: NDArray[np.float64]) -> tuple[str, NDArray[np.float64]]:

@@ -36,6 +36,12 @@ class MapFrame:
     note: str = ""
     """How the frame was found, in a sentence."""
 
+    @classmethod
+    def of_similarity(cls, matrix: Vector, crs: str | None = None) -> "MapFrame":
+        """The frame of a similarity [3, 4] from the scene to the map."""
+        scale = float(np.cbrt(np.linalg.det(matrix[:, :3])))
+        return cls(matrix[:, :3] / scale, scale, matrix[:, 3], crs)
+
     def to_map(self, points: NDArray[np.floating]) -> Vector:
         """Map coordinates of the scene's points, both [..., 3]."""
         mapped = self.scale * (np.asarray(points, np.float64) @ self.rotation.T)
@@ -58,6 +64,11 @@ class MapFrame:
         return replace(
             self, rotation=self.rotation @ inner.rotation, scale=self.scale * inner.scale, offset=self.to_map(offset)
         )
+
+
+def leading_spectrum(capture: Capture) -> str:
+    """The first spectrum with training views: its cameras say where the ground is."""
+    return next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
 
 
 def camera_centers(capture: Capture, spectrum: str) -> tuple[Vector, Vector]:

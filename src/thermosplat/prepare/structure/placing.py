@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.datasets.colmap.similarity import ransac_similarity, similarity_by_weights
 from thermosplat.datasets.geo_file import GeoFrame
 from thermosplat.prepare.capture_folder import LEADING, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
@@ -154,13 +155,9 @@ def robust_similarity(centres: Array, places: Array, deviations: Array) -> Fit |
     """
     starts = []
     for within in _WITHIN:
-        options = pycolmap.RANSACOptions(
-            max_error=within, min_num_trials=_TRIALS, max_num_trials=_TRIALS, random_seed=0
-        )
-        found = pycolmap.estimate_sim3d_robust(centres, places, options)
-        similarity = found["tgt_from_src"] if isinstance(found, dict) else found
-        if similarity is not None:
-            starts.append(similarity.matrix())
+        start = ransac_similarity(centres, places, within, (_TRIALS, _TRIALS))
+        if start is not None:
+            starts.append(start)
     if not starts:
         return None
 
@@ -177,24 +174,6 @@ def robust_similarity(centres: Array, places: Array, deviations: Array) -> Fit |
         weights = np.where(far(matrix) < 1.0, (1.0 - far(matrix) ** 2) ** 2, 0.0) / deviations**2
         matrix = similarity_by_weights(centres, places, weights)
     return Fit(pycolmap.Sim3d(matrix), apart(matrix), far(matrix) >= 1.0)
-
-
-def similarity_by_weights(source: Array, target: Array, weights: Array) -> Array:
-    """The similarity [3, 4] of least weighted squares (Umeyama 1991).
-
-    Args:
-        source: Points [N, 3].
-        target: Where they are to be, [N, 3].
-        weights: Of each, [N], not all 0.
-    """
-    weights = weights / weights.sum()
-    source_middle, target_middle = weights @ source, weights @ target
-    a, b = source - source_middle, target - target_middle
-    u, sizes, v = np.linalg.svd((b * weights[:, None]).T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
-    rotation = (u * signs) @ v
-    scale = float((sizes * signs).sum() / (weights @ (a**2).sum(axis=1)))
-    return np.column_stack([scale * rotation, target_middle - scale * rotation @ source_middle])
 
 
 def _unplaced(model: pycolmap.Reconstruction, why: str) -> Placed:
