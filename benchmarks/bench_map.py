@@ -28,7 +28,7 @@ from scenes.surface_points import surface_points
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.ground_truth import read_ground_truth
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run
-from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
+from thermosplat.export.maps.map_frame import leading_spectrum, local_frame
 from thermosplat.export.maps.orthomosaic import MapGrid, render_map
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
@@ -89,10 +89,8 @@ def map_depth(loaded: LoadedRun, name: str, grid: MapGrid) -> Array:
 def compared(loaded: LoadedRun, data: str | None, gsd: float, within: float) -> list[dict[str, Any]]:
     """A row for each spectrum of a run that measures something."""
     capture = loaded.capture(data)
-    leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
-    frame = local_frame(capture, leading)
-    top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
-    grid = MapGrid.covering(frame, map_extent(frame, capture), gsd, top)
+    leading = leading_spectrum(capture)
+    grid = MapGrid.over(local_frame(capture, leading), capture, leading, pixel=gsd)
     rows = []
     for name, scale in loaded.scales.items():
         points = measured_points(capture, name, grid)
@@ -124,16 +122,16 @@ def against_flight(loaded: LoadedRun, data: str | None, gsd: float, truth: Fligh
     """How far the map of a flight is from the truth [m, °C]."""
     capture = loaded.capture(data)
     name = next(name for name, scale in loaded.scales.items() if scale.measured_unit is not None)
-    leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
-    frame = local_frame(capture, leading)
-    top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
-    grid = MapGrid.covering(frame, map_extent(frame, capture), gsd, top)
+    leading = leading_spectrum(capture)
+    grid = MapGrid.over(local_frame(capture, leading), capture, leading, pixel=gsd)
     picture = render_map(loaded.model, name, loaded.scales[name], grid, sh_degree=loaded.sh_degree)[0]
     east, north = np.meshgrid(
         grid.west + (np.arange(grid.width) + 0.5) * gsd, grid.north - (np.arange(grid.height) + 0.5) * gsd
     )
     height = grid.top - map_depth(loaded, leading, grid)
-    places, off = truth.placed(capture, leading, frame.to_scene(np.stack([east, north, height], -1).reshape(-1, 3)))
+    places, off = truth.placed(
+        capture, leading, grid.frame.to_scene(np.stack([east, north, height], -1).reshape(-1, 3))
+    )
     true = truth.at(places).reshape(picture.shape)
     inside = np.isfinite(true)
     known = inside & np.isfinite(picture)

@@ -12,7 +12,7 @@ from thermosplat.comparison.files import entries, write_difference, write_page, 
 from thermosplat.comparison.over_time import over_time
 from thermosplat.export.maps.georeference import located_frame
 from thermosplat.export.maps.geotiff import rasterio_module
-from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
+from thermosplat.export.maps.map_frame import local_frame
 from thermosplat.export.maps.orthomosaic import MapGrid
 from thermosplat.spectra import unit_label
 
@@ -79,11 +79,7 @@ def _grid(first: Date, leading: str, pixel: float | None, extent: tuple[float, f
     """The grid in the frame of the first date's scene."""
     capture, geo = first.capture, first.run.geo or first.capture.geo
     frame = local_frame(capture, leading) if geo is None else located_frame(geo, capture.placement)
-    extent = extent or map_extent(frame, capture)
-    if pixel is None:
-        pixel = max(extent[2] - extent[0], extent[3] - extent[1]) / _PIXELS
-    top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
-    return MapGrid.covering(frame, extent, pixel, top)
+    return MapGrid.over(frame, capture, leading, extent=extent, pixel=pixel, pixels=_PIXELS)
 
 
 def _said(name: str, first: str, changes: Changes, unit: str) -> str:

@@ -29,7 +29,7 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
     from thermosplat.export.export_frame import ExportFrame
     from thermosplat.export.maps.georeference import georeferenced_frame, located_frame
     from thermosplat.export.maps.geotiff import rasterio_module
-    from thermosplat.export.maps.map_frame import camera_centers, local_frame, map_extent
+    from thermosplat.export.maps.map_frame import leading_spectrum, local_frame
     from thermosplat.export.maps.orthomosaic import MapGrid, render_map, write_map
 
     rasterio_module()  # to say that it is missing before anything is rendered
@@ -38,7 +38,7 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
         print(note)
     temperatures = asked_temperatures(arguments, loaded, capture)
     names = arguments.chosen(list(loaded.model.spectra))
-    leading = next(name for name in capture.spectra if any(name in frame.views for frame in capture.train))
+    leading = leading_spectrum(capture)
     geo, frame = loaded.geo or capture.geo, None
     if arguments.up is None:
         frame = georeferenced_frame(capture, leading) if geo is None else located_frame(geo, capture.placement)
@@ -47,14 +47,15 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
         print(f"The map is in local coordinates, in world units. {frame.note}")
     else:
         print(f"The map is georeferenced. {frame.note}")
-    extent = arguments.extent or map_extent(frame, capture)
-    pixel = arguments.gsd
-    if pixel is None:
-        pixel = max(extent[2] - extent[0], extent[3] - extent[1]) / PIXELS_BY_DEFAULT
-    top = arguments.top
-    if top is None:
-        top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
-    grid = MapGrid.covering(frame, extent, pixel, top)
+    grid = MapGrid.over(
+        frame,
+        capture,
+        leading,
+        extent=arguments.extent,
+        pixel=arguments.gsd,
+        pixels=PIXELS_BY_DEFAULT,
+        top=arguments.top,
+    )
     for name in names:
         scale = loaded.scales[name]
         picture = render_map(loaded.model, name, scale, grid, sh_degree=loaded.sh_degree, temperatures=temperatures)
@@ -64,6 +65,6 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
         unit = "colours" if len(picture) == 3 else scale.measured_unit or "intensity"
         unit += ", recalculated" if recalculated else ""
         covered = np.isfinite(picture[0]).mean()
-        print(f"{path}: {grid.width:,} x {grid.height:,} pixels of {pixel:.4g}, {unit}, {covered:.0%} covered")
+        print(f"{path}: {grid.width:,} x {grid.height:,} pixels of {grid.pixel:.4g}, {unit}, {covered:.0%} covered")
     if geo is not None and arguments.up is None:
         ExportFrame(capture.placement, geo).write(folder)

@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.errors import UserError
 from thermosplat.export.maps.geotiff import write_geotiff
-from thermosplat.export.maps.map_frame import MapFrame
+from thermosplat.export.maps.map_frame import MapFrame, camera_centers, map_extent
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
@@ -72,6 +73,37 @@ class MapGrid:
             )
         width, height = round(columns), round(rows)
         return cls(frame, west, north, pixel, width, height, top)
+
+    @classmethod
+    def over(
+        cls,
+        frame: MapFrame,
+        capture: Capture,
+        leading: str,
+        *,
+        extent: tuple[float, float, float, float] | None = None,
+        pixel: float | None = None,
+        pixels: int = 1000,
+        top: float | None = None,
+    ) -> "MapGrid":
+        """The grid of what a capture saw.
+
+        Args:
+            frame: As of ``covering``.
+            capture: The capture.
+            leading: The spectrum whose cameras are looked at.
+            extent: As of ``covering``; None: what the cameras saw.
+            pixel: As of ``covering``; None: so that the longer side has ``pixels``.
+            pixels: Along the longer side.
+            top: As of ``covering``; None: the highest camera.
+
+        Raises:
+            UserError: As of ``covering``; or the capture has no training views of the spectrum.
+        """
+        west, south, east, north = extent = extent or map_extent(frame, capture)
+        if top is None:
+            top = float(frame.to_map(camera_centers(capture, leading)[0])[:, 2].max())
+        return cls.covering(frame, extent, max(east - west, north - south) / pixels if pixel is None else pixel, top)
 
     def view(self, left: int, upper: int, width: int, height: int, device: torch.device | str) -> ViewTensors:
         """The camera of a part of the map: parallel rays downwards.
