@@ -72,10 +72,10 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
         at, view = tuple(place), part.view(0, 0, part.width, part.height, run.device)
         rendered = run.model.render(dict.fromkeys((spectrum, leading), view), sh_degree=run.sh_degree)
         depth = run.model.render_depth(spectrum, view).cpu().numpy()
-        cover = {name: rendered.alphas[name][..., 0].cpu().numpy() >= LEAST_COVER for name in (spectrum, leading)}
-        there = cover[spectrum] | cover[leading]
+        solid = rendered.alphas[spectrum][..., 0].cpu().numpy() >= LEAST_COVER
+        there = rendered.covered().cpu().numpy()
         shown = scale.value(pixel_intensity(rendered.images[spectrum].clamp(0, 1), scale)).cpu().numpy()
-        heights[at] = np.where(cover[spectrum] & (depth > 0), part.top - depth * own.frame.scale, np.nan)
+        heights[at] = np.where(solid & (depth > 0), part.top - depth * own.frame.scale, np.nan)
         if there.any():
             sure = certainty.of_view(view, np.where(there, shown, np.nan))
             read = there & (sure.doubts & (FEW_VIEWS | NO_SURFACE) == 0)

@@ -167,7 +167,9 @@ def rendered_images(
         for name in names:
             if measured is not None and scales[name].has_intensity and scales[name].measured_unit is not None:
                 image, view = rendered.images[name], point.views[name]
-                covered = model.render(dict.fromkeys(model.spectra, view), sh_degree=sh_degree).covered()
+                is_whole = all(point.views.get(other) is view for other in model.spectra)
+                whole = dict.fromkeys(model.spectra, view)
+                covered = (rendered if is_whole else model.render(whole, sh_degree=sh_degree)).covered()
                 measured(index, name, _values(name, image, covered, view, scales[name], temperatures))
         spans = {} if ranges is None or (temperatures is not None and temperatures.text) else ranges
         images = [

@@ -224,13 +224,14 @@ class Certainty:
         values = torch.nn.functional.interpolate(
             self._measured(view)[None, None], (camera.height, camera.width), mode="area"
         )[0, 0]
-        return camera, values, self._surface(camera)[0]
+        return camera, values, self._surface(*self._seen_by_each(camera))
 
     def _evidence(
         self, view: ViewTensors, values: Array, noise: float, drift: float
     ) -> tuple[Array, NDArray[np.uint8]]:
         """s of each pixel, and its doubts."""
-        depth, differ = self._surface(view)
+        solid, of_each = self._seen_by_each(view)
+        depth = self._surface(solid, of_each)
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
         normals = _normals(depth, view)
@@ -263,30 +264,39 @@ class Certainty:
         usual = float(np.median(spread[surface])) if surface.any() else 0.0
         explained = np.hypot(slope, max(_TIMES_USUAL * usual, _TIMES_USUAL * noise))
         doubts[cv2.medianBlur(spread.astype(np.float32), 5) > explained] |= REFLECTING
-        doubts[differ] |= DEPTHS_DIFFER
+        doubts[self._depths_differ(solid, of_each)] |= DEPTHS_DIFFER
         doubts[_small(values, noise, depth, view, self._taken(order[0])[0] if order else view)] |= SMALL
         doubts[~surface] = NO_SURFACE
         return np.where(surface, s, np.nan), doubts
 
-    def _surface(self, view: ViewTensors) -> tuple[Tensor, NDArray[np.bool_]]:
-        """Depth of what a view sees, and where another spectrum sees a surface at another depth, both [H, W].
+    def _seen_by_each(self, view: ViewTensors) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """By spectrum, where it shows a surface in a view, and how deep, both [H, W]."""
+        alphas = self.model.render(dict.fromkeys(self.model.spectra, view), sh_degree=self._sh_degree).alphas
+        solid = {name: alpha[..., 0] >= _SOLID for name, alpha in alphas.items()}
+        return solid, {name: self.model.render_depth(name, view) for name in self.model.spectra}
+
+    def _surface(self, solid: dict[str, Tensor], depths: dict[str, Tensor]) -> Tensor:
+        """Depth of what a view sees, [H, W].
 
         What is as cold as the range's lower end may be transparent in the spectrum: its depth there is another one's.
         """
-        alphas = self.model.render(dict.fromkeys(self.model.spectra, view), sh_degree=self._sh_degree).alphas
-        solid = {name: alpha[..., 0] >= _SOLID for name, alpha in alphas.items()}
-        depth = self.model.render_depth(self.spectrum, view)
+        depth = depths[self.spectrum]
+        for other, theirs in depths.items():
+            depth = torch.where(~solid[self.spectrum] & solid[other], theirs, depth)
+        return depth
+
+    def _depths_differ(self, solid: dict[str, Tensor], depths: dict[str, Tensor]) -> NDArray[np.bool_]:
+        """Where another spectrum sees a surface at another depth, [H, W]."""
+        depth = depths[self.spectrum]
         differ = torch.zeros_like(depth, dtype=torch.bool)
-        for other in self.model.spectra:
+        for other, theirs in depths.items():
             if other != self.spectrum:
-                theirs = self.model.render_depth(other, view)
                 both = solid[self.spectrum] & solid[other]
                 apart = (theirs - depth).abs() / torch.minimum(theirs, depth).clamp(min=1e-9)
                 usual = float(apart[both & (depth > 0)].median().nan_to_num())
                 differ |= both & (apart > max(_DEPTHS_APART, _TIMES_USUAL * usual))
-                depth = torch.where(~solid[self.spectrum] & solid[other], theirs, depth)
         opened = cv2.morphologyEx(differ.cpu().numpy().astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        return depth, opened > 0
+        return opened > 0
 
 
 def _normals(depth: Tensor, view: ViewTensors) -> Tensor:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from thermosplat.novel_views.viewpoints import PathName
 
 
+LINE_EVERY = 10.0
+"""Seconds between lines of a fit's progress."""
+
+
 def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
     """Write the splats of the chosen spectra.
 
@@ -150,10 +154,6 @@ def fitted_scene(
 def _becomes_values(loaded: "LoadedRun", names: list[str], colors: "Colors") -> bool:
     """Whether pseudo-colours have to become the values that they stand for, which a fit alone does."""
     return colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)
-
-
-LINE_EVERY = 10.0
-"""Seconds between lines."""
 
 
 def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] = time.monotonic) -> Iterable[int]:
