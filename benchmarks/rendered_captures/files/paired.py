@@ -55,6 +55,31 @@ class Paired:
     """Frames between two closings of the shutter; 0: one at the start."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """A capture that is being rendered."""
+
+    settings: Paired
+    scene: Builder
+    poses: list[NDArray[np.float64]]
+    names: list[str]
+    parts: list[str]
+    """"train" or "test", by view."""
+    folder: Path
+    """For files that Mitsuba reads."""
+    out: Path
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of images [px]."""
+        return self.settings.width, self.settings.height
+
+    @property
+    def views(self) -> "zip[tuple[NDArray[np.float64], str, str]]":
+        """Pose, name and part of each view."""
+        return zip(self.poses, self.names, self.parts, strict=True)
+
+
 def scene_of(settings: Paired) -> tuple[Builder, list[NDArray[np.float64]]]:
     """The scene and the poses, camera to world in Mitsuba's axes."""
     key = zlib.crc32(settings.scene.encode())
@@ -69,13 +94,13 @@ def write_paired(settings: Paired, out: Path) -> None:
     names = [f"{settings.scene}_{k:04d}" for k in range(len(poses))]
     parts = ["test" if k % _TEST_EVERY == 0 else "train" for k in range(len(poses))]
     with tempfile.TemporaryDirectory() as folder:
-        exposure = _write_photographs(settings, scene, poses, names, parts, Path(folder), out)
-        span = _write_thermal(settings, scene, poses, names, parts, Path(folder), out)
-        seen = _write_truth(settings, scene, poses, names, parts, Path(folder), out)
+        made = _Made(settings, scene, poses, names, parts, Path(folder), out)
+        exposure = _write_photographs(made)
+        span = _write_thermal(made)
+        seen = _write_truth(made)
         shots = Path(folder) / "photographs"
         to_camera = [np.linalg.inv(pose @ FLIP) for pose in poses]
-        size = settings.width, settings.height
-        sparse = write_model(shots, [f"{n}.jpg" for n in names], to_camera, scene.fov, size, out / "sparse" / "0")
+        sparse = write_model(shots, [f"{n}.jpg" for n in names], to_camera, scene.fov, made.size, out / "sparse" / "0")
     known = {
         "scene": settings.scene,
         "views": settings.views,
@@ -93,92 +118,69 @@ def write_paired(settings: Paired, out: Path) -> None:
     (out / "scene.json").write_text(json.dumps(known, indent=1))
 
 
-def _write_photographs(
-    settings: Paired,
-    scene: Builder,
-    poses: list[NDArray[Any]],
-    names: list[str],
-    parts: list[str],
-    folder: Path,
-    out: Path,
-) -> float:
-    size, samples = (settings.width, settings.height), settings.samples or _SAMPLES[settings.scene]
-    camera = Renderer(rgb_scene(scene, size, scene.fov, folder), size)
-    renders = [camera.image(pose, samples, settings.seed * 1000 + k) for k, pose in enumerate(poses)]
+def _write_photographs(made: _Made) -> float:
+    settings, scene = made.settings, made.scene
+    samples = settings.samples or _SAMPLES[settings.scene]
+    camera = Renderer(rgb_scene(scene, made.size, scene.fov, made.folder), made.size)
+    renders = [camera.image(pose, samples, settings.seed * 1000 + k) for k, pose in enumerate(made.poses)]
     exposure = exposure_of(renders, scene.key)
-    for k, (render, name, part) in enumerate(zip(renders, names, parts, strict=True)):
+    for k, (render, name, part) in enumerate(zip(renders, made.names, made.parts, strict=True)):
         image = developed(render, exposure, np.random.default_rng([settings.seed, 3, k]))
-        write_jpeg(folder / "photographs" / f"{name}.jpg", image, 95)  # points are found by day
+        write_jpeg(made.folder / "photographs" / f"{name}.jpg", image, 95)  # points are found by day
         if settings.electrons is not None:
             from scenes.low_light_capture import darkened  # loads PyTorch
 
             image = darkened(image, settings.electrons, np.random.default_rng([settings.seed, 4, k]))
-        write_jpeg(out / "rgb" / part / f"{name}.jpg", image, 95)
+        write_jpeg(made.out / "rgb" / part / f"{name}.jpg", image, 95)
     return exposure
 
 
-def _write_thermal(
-    settings: Paired,
-    scene: Builder,
-    poses: list[NDArray[Any]],
-    names: list[str],
-    parts: list[str],
-    folder: Path,
-    out: Path,
-) -> tuple[float, float]:
-    size = settings.width, settings.height
+def _write_thermal(made: _Made) -> tuple[float, float]:
+    settings, scene = made.settings, made.scene
     samples = min(settings.samples or 5 * _THERMAL_SAMPLES, 5 * _THERMAL_SAMPLES) // 5 or 1
     path = emission_path(6, ambient(scene))
-    camera = Renderer(thermal_scene(scene, size, scene.fov, folder), size, path)
+    camera = Renderer(thermal_scene(scene, made.size, scene.fov, made.folder), made.size, path)
     images = []
-    for k, pose in enumerate(poses):
+    for k, pose in enumerate(made.poses):
         render = camera.image(pose, samples, settings.seed * 1000 + 500 + k)
         images.append(sensed(render.mean(-1), np.random.default_rng([settings.seed, 2, k])))
     if settings.drift is not None:
         random = np.random.default_rng([settings.seed, 9])
-        levels = drifting_levels(len(poses), random, settings.jump_every, settings.drift)
+        levels = drifting_levels(len(made.poses), random, settings.jump_every, settings.drift)
         images = [image + np.float32(level) for image, level in zip(images, levels, strict=True)]
-        known = {f"{name}.tiff": round(float(level), 3) for name, level in zip(names, levels, strict=True)}
-        (out / "level_drift_K.json").write_text(json.dumps(known))
+        known = {f"{name}.tiff": round(float(level), 3) for name, level in zip(made.names, levels, strict=True)}
+        (made.out / "level_drift_K.json").write_text(json.dumps(known))
     span, palette = span_of(images), ironbow()
-    for image, name, part in zip(images, names, parts, strict=True):
-        write_jpeg(out / "thermal" / part / f"{name}.jpg", colored(image, span, palette), 95)
-        write_counts(out / "thermal_raw" / f"{name}.tiff", counts(image))
+    for image, name, part in zip(images, made.names, made.parts, strict=True):
+        write_jpeg(made.out / "thermal" / part / f"{name}.jpg", colored(image, span, palette), 95)
+        write_counts(made.out / "thermal_raw" / f"{name}.tiff", counts(image))
     units = {"unit": "centi-Kelvin", "palette_min_C": span[0], "palette_max_C": span[1]}
-    (out / "thermal_raw" / "units.json").write_text(json.dumps(units))
-    write_palette(out / "ironbow_lut.json", palette)
+    (made.out / "thermal_raw" / "units.json").write_text(json.dumps(units))
+    write_palette(made.out / "ironbow_lut.json", palette)
     return span
 
 
-def _write_truth(
-    settings: Paired,
-    scene: Builder,
-    poses: list[NDArray[Any]],
-    names: list[str],
-    parts: list[str],
-    folder: Path,
-    out: Path,
-) -> dict[str, int]:
+def _write_truth(made: _Made) -> dict[str, int]:
     """Labels of all views; depths of what each spectrum sees in the held-out ones."""
-    size, seen = (settings.width, settings.height), dict.fromkeys(LABELS, 0)
+    scene, size, folder, seen = made.scene, made.size, made.folder, dict.fromkeys(LABELS, 0)
     surfaces = Renderer(thermal_scene(scene, size, scene.fov, folder), size)
     light = Renderer(rgb_scene(scene, size, scene.fov, folder, lambda thing: thing.disc != "glass"), size)
     heat = Renderer(thermal_scene(scene, size, scene.fov, folder, lambda thing: thing.tau == 0), size)
     numbers = surfaces.numbers()
-    (out / "ground_truth").mkdir(parents=True, exist_ok=True)
-    for pose, name, part in zip(poses, names, parts, strict=True):
+    (made.out / "ground_truth").mkdir(parents=True, exist_ok=True)
+    for pose, name, part in made.views:
         _, shapes = surfaces.first_hit(pose)
         label = np.zeros(shapes.shape, np.uint8)
         for thing in scene.objs:
             if thing.disc is not None:
                 label[shapes == numbers[thing.name]] = LABELS[thing.disc]
-        write_png(out / "labels" / part / f"{name}.png", label)
+        write_png(made.out / "labels" / part / f"{name}.png", label)
         for kind, number in LABELS.items():
             seen[kind] += int((label == number).sum())
         if part == "test":
             depths = {"depth_rgb": light.first_hit(pose)[0], "depth_thermal": heat.first_hit(pose)[0]}
             rounded = {key: _rounded(depth) for key, depth in depths.items()}
-            np.savez_compressed(out / "ground_truth" / f"{name}.npz", **rounded, label=label)
+            np.savez_compressed(made.out / "ground_truth" / f"{name}.npz", **rounded, label=label)
     return seen
 
 
