@@ -11,7 +11,8 @@ from thermosplat.config import DecoderConfig, ModelConfig
 from thermosplat.errors import UserError
 from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.formations.scene_formations import Formations
-from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.gaussians import Gaussians, check_points
+from thermosplat.scene.neighbor_distances import neighbor_distances
 from thermosplat.spectra import Spectrum
 
 C0 = 0.28209479177387814  # 1 / (2 √π)
@@ -45,7 +46,13 @@ def start(
     config = config or ModelConfig()
     formations = formations_of(config, *spectra)
     return Gaussians.from_points(
-        points, colors, config=config, sh_degree=sh_degree, generator=generator, formations=formations
+        points,
+        colors,
+        neighbor_distances(points),
+        config=config,
+        sh_degree=sh_degree,
+        generator=generator,
+        formations=formations,
     )
 
 
@@ -158,31 +165,17 @@ def test_restored_gaussians_do_not_share_memory() -> None:
 
 def test_too_few_points_is_a_users_error() -> None:
     """A capture without enough sparse points is refused, with the COLMAP command that makes them."""
-    points, colors = cloud(3)
+    points, _ = cloud(3)
     with pytest.raises(UserError, match=r"at least 4 sparse points, but the capture has 3\. .*colmap mapper"):
-        Gaussians.from_points(
-            points,
-            colors,
-            config=ModelConfig(),
-            sh_degree=0,
-            generator=torch.Generator(),
-            formations=formations_of(ModelConfig(), RGB),
-        )
+        check_points(points)
 
 
 def test_points_that_are_not_finite_are_a_users_error() -> None:
     """NaN coordinates would spread to everything; they are counted and refused."""
-    points, colors = cloud()
+    points, _ = cloud()
     points[[3, 5], 1] = np.nan, np.inf
     with pytest.raises(UserError, match="2 of the capture's 40 sparse points"):
-        Gaussians.from_points(
-            points,
-            colors,
-            config=ModelConfig(),
-            sh_degree=0,
-            generator=torch.Generator(),
-            formations=formations_of(ModelConfig(), RGB),
-        )
+        check_points(points)
 
 
 def test_opacities_of_several_spectra() -> None:

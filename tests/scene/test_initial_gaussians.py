@@ -1,15 +1,18 @@
 """Which sets of Gaussians a configuration starts with."""
 
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import ResolutionConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.initial_gaussians import initial_gaussians
+from thermosplat.scene.initial_gaussians import AMONG_MANY, initial_gaussians
+from thermosplat.scene.neighbor_distances import neighbor_distances
 from thermosplat.spectra import model_spectra
 from toy_scene import toy_capture, toy_config
 
@@ -43,3 +46,21 @@ def test_colours_of_separate_sets() -> None:
     assert torch.equal(sets["rgb"].means, sets["thermal"].means)
     assert rgb.std(dim=-1).max() > 0.1
     assert thermal.std(dim=-1).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("spacing", "factors", "share"), [(3.0, (4, 2), AMONG_MANY), (5.0, (4, 2), 1.0), (3.0, (), 1.0)]
+)
+def test_first_sizes(spacing: float, factors: tuple[int, ...], share: float) -> None:
+    """Gaussians start a tenth as wide as usual where points lie less than a pixel apart in the first images."""
+    capture = toy_capture()
+    view = next(iter(capture.train[0].views.values()))
+    depth = 2.0
+    step = spacing * depth / view.camera.fx  # of a grid before the camera, whose corners have two neighbours of three
+    x, y = np.meshgrid(np.arange(-3, 4) * step, np.arange(-3, 4) * step)
+    in_camera = np.stack([x, y, np.full_like(x, depth), np.ones_like(x)], axis=-1).reshape(-1, 4)
+    points = (in_camera @ np.linalg.inv(view.viewmat).T)[:, :3].astype(np.float32)
+    dense = replace(capture, train=capture.train[:1], points=points, point_colors=np.zeros((49, 3), np.uint8))
+    config = replace(toy_config(), resolution=ResolutionConfig(factors=factors, until=tuple(0.1 for _ in factors)))
+    sizes = sets_of(config, dense)["shared"].scales.detach().numpy()
+    np.testing.assert_allclose(sizes, share * neighbor_distances(points)[:, None].repeat(3, 1), rtol=1e-5)

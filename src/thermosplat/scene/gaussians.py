@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from thermosplat.config import ModelConfig
 from thermosplat.errors import UserError
-from thermosplat.scene.neighbor_distances import NUM_NEIGHBORS, neighbor_distances
+from thermosplat.scene.neighbor_distances import NUM_NEIGHBORS
 from thermosplat.spectra import Spectrum
 
 if TYPE_CHECKING:
@@ -221,6 +221,7 @@ class Gaussians(nn.Module):
         cls,
         points: NDArray[np.float32],
         colors: NDArray[np.uint8],
+        sizes: NDArray[np.float32],
         *,
         config: ModelConfig,
         sh_degree: int,
@@ -235,6 +236,7 @@ class Gaussians(nn.Module):
         Args:
             points: Positions [world units], shape [M, 3], M >= 4.
             colors: 8-bit RGB colours of the points, shape [M, 3].
+            sizes: First standard deviations [world units], positive, shape [M].
             config: Says which parameters there are and how they start.
             sh_degree: Highest degree of the spherical harmonics, 0 to 3.
             generator: Source of the random features, on the CPU.
@@ -243,20 +245,16 @@ class Gaussians(nn.Module):
 
         Returns:
             M Gaussians on the CPU.
-
-        Raises:
-            UserError: If there are too few points, or some are not finite.
         """
-        _check_points(points)
         num_points = len(points)
         known = PointColors.of(colors, sh_degree)
         spectra = [formation.spectrum for formation in formations]
         sh0, shN = known.harmonics(spectra[0])
-        log_distances = torch.as_tensor(np.log(neighbor_distances(points)))
+        log_sizes = torch.as_tensor(np.log(sizes))
         parameters = {
             "means": torch.as_tensor(np.array(points, dtype=np.float32)),
             "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(num_points, 1),
-            "log_scales": log_distances[:, None].repeat(1, 3),
+            "log_scales": log_sizes[:, None].repeat(1, 3),
             "logit_opacities": torch.logit(torch.full((num_points,), config.init_opacity)),
             "sh0": sh0,
             "shN": shN,
@@ -286,7 +284,15 @@ def _spectrum_of_opacity(name: str) -> str | None:
     return inner if name == f"{prefix}{inner}{suffix}" else None
 
 
-def _check_points(points: NDArray[np.float32]) -> None:
+def check_points(points: NDArray[np.float32]) -> None:
+    """Refuse sparse points that no Gaussians can start from.
+
+    Args:
+        points: Positions [world units], shape [M, 3].
+
+    Raises:
+        UserError: If there are too few points, or some are not finite.
+    """
     if len(points) <= NUM_NEIGHBORS:
         raise UserError(
             f"Training starts from at least {NUM_NEIGHBORS + 1} sparse points, but the capture has {len(points)}.",

@@ -85,6 +85,7 @@ def _shapes(config: TrainConfig, formations: Sequence[Formation]) -> dict[str, t
     start = Gaussians.from_points(
         few,
         np.zeros((4, 3), np.uint8),
+        np.ones(4, np.float32),
         config=config.model,
         sh_degree=config.sh_degree,
         generator=torch.Generator(),

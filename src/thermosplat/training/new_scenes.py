@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from thermosplat.config import ModelConfig, TrainConfig
+from thermosplat.config import ModelConfig, ResolutionConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.distributed.team import Team
 from thermosplat.refinement.camera_corrections import POSES
@@ -29,7 +29,8 @@ def of_passes(config: TrainConfig) -> TrainConfig:
     """
     model = replace(config.model, init_opacity=ModelConfig().init_opacity)
     rates = {name: config.refine_rates * getattr(config.optimizer, name) for name in _FASTER}
-    return replace(config, model=model, optimizer=replace(config.optimizer, **rates))
+    started = replace(config, model=model, resolution=ResolutionConfig())
+    return replace(started, optimizer=replace(config.optimizer, **rates))
 
 
 class NewScenes:
