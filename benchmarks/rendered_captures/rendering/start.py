@@ -5,8 +5,8 @@ from pathlib import Path
 
 from thermosplat.errors import UserError
 
-_NEEDED_LLVM = range(24, 15, -1)
-"""Dr.Jit's versions of LLVM: from 16 on it has the instructions that Mitsuba 3.9 asks for."""
+_NEEDED_LLVM = range(24, 18, -1)
+"""Dr.Jit's versions of LLVM: 16 crashed while it compiled what Mitsuba 3.9 asks for, 19 works."""
 
 
 def start(variant: str) -> None:
@@ -36,7 +36,7 @@ def start(variant: str) -> None:
     except Exception as error:
         raise UserError(
             f"Mitsuba's {variant} does not start here: {error}",
-            "llvm_ad_rgb needs LLVM 16 or newer: apt install libllvm18, or DRJIT_LIBLLVM_PATH=libLLVM.so; "
+            "llvm_ad_rgb needs LLVM 19 or newer: apt install libllvm19, or DRJIT_LIBLLVM_PATH=libLLVM.so; "
             "cuda_ad_rgb needs an NVIDIA GPU.",
         ) from error
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
