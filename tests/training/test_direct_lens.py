@@ -56,6 +56,7 @@ def test_a_packed_frame_keeps_its_lenses() -> None:
     assert not copy.views["thermal"].lens.any()
 
 
+@pytest.mark.rotating("resumed runs")
 def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     """Bit for bit; its metrics say which images it was trained on."""
     capture, _ = rendered_behind_lenses()

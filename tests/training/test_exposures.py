@@ -136,6 +136,7 @@ def test_drift_of_a_sensor_is_told_from_the_scene(tmp_path: Path) -> None:
     assert (levels - levels.mean()).tolist() == pytest.approx(drift, abs=0.005)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", ["color", "scalar"])
 @pytest.mark.parametrize("others", [(), ("nir",)])
 def test_training_with_exposures(tmp_path: Path, kind: str, others: tuple[str, ...]) -> None:

@@ -88,6 +88,7 @@ def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) 
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("refine", "held"), [(("rig",), 8), (("poses", "distortion"), 8), (("poses",), 0), ((), 0)])
 def test_spectra_have_one_opacity_while_their_cameras_are_found(
     tmp_path: Path, refine: tuple[Refined, ...], held: int

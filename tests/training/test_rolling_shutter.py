@@ -52,6 +52,7 @@ def errors(model: SceneModel, capture: Capture) -> dict[str, float]:
     return {view.spectrum: float((view.image - view.target).detach().abs().median()) for view in views}
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("order", get_args(LineOrder))
 def test_the_true_scene_shows_what_is_read_line_by_line(order: LineOrder) -> None:
     """Whichever line is first. As if taken at once, the same scene is at least five times as far off."""
@@ -110,6 +111,7 @@ def test_frames_with_other_line_orders_or_lenses_are_other_work() -> None:
     assert _shape(packed(frame_tensors(again, capture.scales, "cpu"))) == shapes[0]
 
 
+@pytest.mark.rotating("resumed runs")
 def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     """Bit for bit."""
     capture = shaken(many_frames(toy_capture(aligned=False)), ("thermal",))

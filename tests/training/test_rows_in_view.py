@@ -71,6 +71,7 @@ def close_states(one: Trainer, other: Trainer, tolerance: float = 1e-4) -> None:
         torch.testing.assert_close(found[name], value, rtol=1e-2, atol=tolerance, msg=name)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("aligned", [True, False])
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
@@ -105,6 +106,7 @@ def test_what_is_out_of_view_stays(tmp_path: Path) -> None:
     assert optimizers["features"].state[held[1]]["step"] == 5
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("first", "then"), [("on", "off"), ("off", "on"), ("moments", "on"), (KINDS[2], "on")])
 def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None:
     """A checkpoint is the same file: what goes on from it ends where it would have ended otherwise."""
@@ -120,6 +122,7 @@ def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None
     close_states(resumed, whole)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_whole_run(tmp_path: Path, kind: str) -> None:
     """Training, evaluation, a budget's removals and export: the same counts and nearly the same metrics."""
