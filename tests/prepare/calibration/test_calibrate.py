@@ -17,6 +17,7 @@ CHECKERBOARD = Board("checkerboard", 8, 6, 0.04)
 BOARDS = [CHECKERBOARD, Board("circles", 4, 9, 0.035), Board("charuco", 9, 6, 0.05, 0.038)]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.kind)
 def test_lenses_and_rig_are_those_of_the_cameras(board: Board, tmp_path: Path) -> None:
     """Thermal focal length to 0.2%, rotation to 0.05°, translation to 1 mm; dark squares are warm."""
