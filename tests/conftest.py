@@ -40,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return
     for item in items:
         mark = item.get_closest_marker("rotating")
-        if mark is not None and item.get_closest_marker("cuda") is None:
+        if mark is not None and not {"cuda", "slow"} & {other.name for other in item.iter_markers()}:
             families[mark.args[0] if mark.args else item.nodeid.partition("[")[0]].append(item)
     for family in families.values():
         family.sort(key=lambda item: crc32(item.nodeid.encode()))
