@@ -51,7 +51,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Tests that are marked ``cuda`` are skipped where there is no device, before their fixtures want one."""
+    """Tests that are marked ``cuda`` are skipped where there is no device, before their fixtures want one. With
+    ``-n``, each test begins with one thread: numba, by which others read our files, gives OpenMP as many as cores."""
+    if hasattr(item.config, "workerinput"):
+        torch.set_num_threads(1)
     if item.get_closest_marker("cuda") is not None and not torch.cuda.is_available():
         pytest.skip("needs a CUDA device; torch finds none")
 
