@@ -117,6 +117,7 @@ def test_a_level_alone() -> None:
         assert changed.images["rgb"] is images["rgb"]
 
 
+@pytest.mark.rotating("long trainings")
 def test_drift_of_a_sensor_is_told_from_the_scene(tmp_path: Path) -> None:
     """On the true scene the levels of a drifting sensor come out; only what asks for exposures has them."""
     capture, scene = rendered_capture()

@@ -223,6 +223,7 @@ def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capt
     assert (second.step, len(second.state.kept_scenes)) == (0, 1)
 
 
+@pytest.mark.rotating("long trainings")
 @tolerating(prune_change=0.002, measured_views=3)
 def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each scene withholds views while it grows, and loses Gaussians; so does the one that all become. (Views that are

@@ -74,6 +74,7 @@ def test_photographs_have_shutters_and_lenses_too() -> None:
     assert {name: found[name] < 0.2 * still[name] for name in found} == {"rgb": True, "thermal": True}
 
 
+@pytest.mark.rotating("long trainings")
 def test_training_through_the_shutter_keeps_the_true_scene(tmp_path: Path) -> None:
     """Colours that fit stay; trained as if images were taken at once, they are bent to what the shutter did."""
     capture, model = relief()

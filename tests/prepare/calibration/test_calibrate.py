@@ -35,6 +35,7 @@ def test_lenses_and_rig_are_those_of_the_cameras(board: Board, tmp_path: Path) -
     assert any("px in the thermal image" in sentence for sentence in report.sentences)
 
 
+@pytest.mark.rotating("boards of other sizes")
 def test_too_few_boards_are_counted(tmp_path: Path) -> None:
     """Another board than was stated: none is found, and the sentence says what was looked for."""
     rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=3)
@@ -47,6 +48,7 @@ def test_too_few_boards_are_counted(tmp_path: Path) -> None:
     assert not (tmp_path / "capture" / "calibration.json").exists()
 
 
+@pytest.mark.rotating("boards of other sizes")
 def test_a_board_of_other_numbers_is_told_at_once(tmp_path: Path) -> None:
     """Squares that were counted for corners: the message has the numbers, after a few of the images."""
     rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=4)

@@ -279,6 +279,7 @@ def test_offsets_of_each_spectrum_go_by_its_own_images(tmp_path: Path) -> None:
     assert torch.equal(gaussians.nir_opacity_offsets == 0, zeros)
 
 
+@pytest.mark.rotating("long trainings")
 def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
     """metrics.json says how small; the checkpoint holds as much, without moments, and comes back equal."""
     capture = many_frames(toy_capture(), FRAMES)
