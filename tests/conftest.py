@@ -17,17 +17,6 @@ from gsplat_reference import installed
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With ``-n``, each process has tests that follow each other, and then some of whoever has more; --dist says
-    otherwise."""
-    if config.getoption("dist") != "load":
-        return None
-    from xdist.scheduler import WorkStealingScheduling
-
-    return WorkStealingScheduling(config, log)
-
-
 def pytest_configure(config: pytest.Config) -> None:
     """With ``-n``, there are processes for all cores: each has one thread, and so has what it starts; and all have the
     same day."""
@@ -44,24 +33,28 @@ def pytest_report_header() -> str:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A quarter of the cases of each test that is marked ``rotating``, another one every day and one at least; the
-    others are ``slow``. Those on CUDA stay."""
-    quarter, cases = os.environ["THERMOSPLAT_QUARTER"], defaultdict(list)
+    """A quarter of the cases of each test that is marked ``rotating``, or of all tests of one family that is named
+    there: another one every day and one at least; the others are ``slow``. Those on CUDA stay."""
+    quarter, families = os.environ["THERMOSPLAT_QUARTER"], defaultdict(list)
     if quarter == "all":
         return
     for item in items:
-        if item.get_closest_marker("rotating") is not None and item.get_closest_marker("cuda") is None:
-            cases[item.nodeid.partition("[")[0]].append(item)
-    for of_one_test in cases.values():
-        of_one_test.sort(key=lambda item: crc32(item.nodeid.encode()))
-        for number, item in enumerate(of_one_test):
-            if (number - int(quarter)) % min(4, len(of_one_test)) != 0:
+        mark = item.get_closest_marker("rotating")
+        if mark is not None and not {"cuda", "slow"} & {other.name for other in item.iter_markers()}:
+            families[mark.args[0] if mark.args else item.nodeid.partition("[")[0]].append(item)
+    for family in families.values():
+        family.sort(key=lambda item: crc32(item.nodeid.encode()))
+        for number, item in enumerate(family):
+            if (number - int(quarter)) % min(4, len(family)) != 0:
                 item.add_marker("slow")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Tests that are marked ``cuda`` are skipped where there is no device, before their fixtures want one."""
+    """Tests that are marked ``cuda`` are skipped where there is no device, before their fixtures want one. With
+    ``-n``, each test begins with one thread: numba, by which others read our files, gives OpenMP as many as cores."""
+    if hasattr(item.config, "workerinput"):
+        torch.set_num_threads(1)
     if item.get_closest_marker("cuda") is not None and not torch.cuda.is_available():
         pytest.skip("needs a CUDA device; torch finds none")
 

@@ -1,6 +1,7 @@
 """Fixtures of the tests of the commands: running one, and a finished run on the sample capture."""
 
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -28,12 +29,19 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return runner
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run of a few steps on the sample capture."""
     folder = tmp_path_factory.mktemp("runs") / "finished run"
     assert train.main(["sample", *QUICK, "--max-steps", str(STEPS), "--result-dir", str(folder)]) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def finished(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of it, to which the tests of a module may add."""
+    folder = tmp_path_factory.mktemp("runs") / "finished run"
+    return shutil.copytree(trained, folder)
 
 
 @pytest.fixture

@@ -123,7 +123,7 @@ def test_typo_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--max-steps" in capsys.readouterr().err
 
 
-@pytest.mark.rotating
+@pytest.mark.rotating("commands in processes")
 @pytest.mark.parametrize("command", ["train", "evaluate", "render", "export", "prepare", "benchmark"])
 def test_help_imports_nothing_heavy(command: str) -> None:
     """--help of every command answers without torch, Warp, OpenCV, kornia or pycolmap."""

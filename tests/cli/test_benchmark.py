@@ -103,6 +103,7 @@ def test_failed_cell_stops_no_other_and_time_runs_out(run: Run, tmp_path: Path) 
     assert "starts on" not in printed  # what was merged is finished
 
 
+@pytest.mark.slow
 def test_failed_cell_is_named(run: Run, tmp_path: Path) -> None:
     """A cell that cannot be trained ends the command with code 2, its reason and its log; nothing else is lost."""
     (tmp_path / "empty").mkdir()

@@ -107,6 +107,7 @@ def test_help_that_nobody_reads() -> None:
     assert done.returncode in (0, 141)
 
 
+@pytest.mark.rotating("commands in processes")
 @pytest.mark.parametrize("command", ["train", "evaluate", "render", "export"])
 def test_ctrl_c_waits_for_imports(command: str, tmp_path: Path) -> None:
     """C++ would report it as a broken installation; so the import is completed first, and then the command ends."""

@@ -43,6 +43,7 @@ def test_training_leaves_everything_behind(finished: Path) -> None:
     assert [line["step"] for line in lines if "loss" in line] == list(range(1, STEPS + 1))
 
 
+@pytest.mark.rotating("commands that train")
 def test_size_of_the_model_is_said(run: Run, tmp_path: Path) -> None:
     """Gaussians and bytes; with a budget what it has left of latent channels and offsets; the blur of cameras."""
     words = ["sample", *QUICK, "--max-steps", 1, "--result-dir"]
@@ -94,6 +95,7 @@ def test_overwrite_deletes_nothing_before_the_input_is_good(run: Run, finished: 
         assert code == 2
 
 
+@pytest.mark.rotating("commands that train")
 def test_overwrite_starts_again(run: Run, tmp_path: Path) -> None:
     """--overwrite replaces an earlier run by a new one."""
     words = ["sample", *QUICK, "--result-dir", tmp_path / "run"]
@@ -102,6 +104,7 @@ def test_overwrite_starts_again(run: Run, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "run" / "ckpts").iterdir()] == ["step_000001.pt"]
 
 
+@pytest.mark.rotating("commands that train")
 def test_ctrl_c_saves_and_resume_finishes(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C ends with code 130 and a command line; that command line finishes the run without naming the capture."""
     folder = tmp_path / "run"
@@ -165,6 +168,7 @@ def test_resume_with_another_sh_degree(run: Run, finished: Path) -> None:
     assert "was trained with sh_degree=2, the command asks for 0" in printed
 
 
+@pytest.mark.rotating("commands that train")
 def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:
     """A run whose capture is not where it was asks for --data."""
     state = torch.load(finished / "ckpts" / f"step_{STEPS:06d}.pt", weights_only=True)
@@ -186,6 +190,7 @@ def test_capture_that_moved(run: Run, finished: Path, tmp_path: Path) -> None:
     assert code == 0
 
 
+@pytest.mark.rotating("commands that train")
 def test_a_capture_named_on_resume_is_found_from_anywhere(
     run: Run, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +205,7 @@ def test_a_capture_named_on_resume_is_found_from_anywhere(
     assert run(evaluate.main, tmp_path / "run", "--device", "cpu")[0] == 0
 
 
+@pytest.mark.rotating("commands that train")
 def test_run_of_one_spectrum(run: Run, tmp_path: Path) -> None:
     """A model of RGB alone trains, and its siblings offer RGB alone."""
     folder = tmp_path / "run"
@@ -216,6 +222,7 @@ def test_run_of_one_spectrum(run: Run, tmp_path: Path) -> None:
             assert f"The run was trained on RGB images, not on {asked}. Give --spectra rgb." in printed
 
 
+@pytest.mark.rotating("commands that train")
 def test_run_of_three_spectra(run: Run, tmp_path: Path) -> None:
     """A spectrum that a configuration file defines is trained, gone on with, measured in its unit, shown, exported."""
     capture = write_multispectral_capture(tmp_path / "capture", {"nir": near_infrared}, thermal=True, depth=16)
@@ -260,6 +267,7 @@ def test_a_spectrum_that_nobody_defined(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.rotating("commands that train")
 def test_config_of_a_run_reproduces_it(run: Run, finished: Path, tmp_path: Path) -> None:
     """Training again from a run's config.yaml ends with the same numbers."""
     code, _ = run(train.main, "--config", finished / "config.yaml", "--result-dir", tmp_path / "again")
@@ -271,6 +279,7 @@ def test_config_of_a_run_reproduces_it(run: Run, finished: Path, tmp_path: Path)
     assert dataclasses.replace(configs[1], result_dir=configs[0].result_dir) == configs[0]
 
 
+@pytest.mark.rotating("commands that train")
 @pytest.mark.usefixtures("unharmed")
 def test_run_without_its_configuration(run: Run, finished: Path, tmp_path: Path) -> None:
     """A config.yaml that somebody deleted is in the checkpoint too; without either the message says so."""

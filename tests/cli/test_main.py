@@ -45,6 +45,7 @@ def test_every_script_is_a_command() -> None:
     assert {name: f"{module}:main" for name, module in COMMANDS.items()} == scripts
 
 
+@pytest.mark.rotating("commands in processes")
 @pytest.mark.parametrize("name", COMMANDS)
 def test_both_ways_run_the_command(name: str, strange: Path) -> None:
     """The version is printed by the command itself, whatever Python files lie in the current folder."""
@@ -52,6 +53,7 @@ def test_both_ways_run_the_command(name: str, strange: Path) -> None:
         assert run_module(*words, "--version", folder=strange).stdout.startswith("thermosplat ")
 
 
+@pytest.mark.rotating("commands in processes")
 @pytest.mark.parametrize("module", ["uses_thermosplat", "thermosplats"])
 def test_other_programs_keep_the_current_folder(module: str, tmp_path: Path) -> None:
     """Those that import thermosplat, whatever they are called."""
@@ -59,6 +61,7 @@ def test_other_programs_keep_the_current_folder(module: str, tmp_path: Path) -> 
     assert run_module(module, folder=tmp_path).stdout == f"{tmp_path}\n"
 
 
+@pytest.mark.rotating("commands in processes")
 @pytest.mark.parametrize(("safe", "named", "code"), [("1", False, 0), ("", True, 99), ("1", True, 99)])
 def test_what_the_environment_names_is_kept(safe: str, named: bool, code: int, strange: Path) -> None:
     """The folders of PYTHONPATH, where Python puts the current folder before them and where it does not."""
@@ -67,6 +70,7 @@ def test_what_the_environment_names_is_kept(safe: str, named: bool, code: int, s
     assert run_module(*words, folder=strange, PYTHONPATH=path, PYTHONSAFEPATH=safe).returncode == code
 
 
+@pytest.mark.rotating("commands in processes")
 def test_mistakes_end_with_2() -> None:
     """A command's own mistake, an unknown command and none at all."""
     wrong = run_module("thermosplat", "train", "/nowhere")

@@ -70,7 +70,8 @@ def test_regions_of_a_capture_with_ground_truth(run: Run, finished: Path, tmp_pa
     label[:, 100:] = 1
     for image in (capture / "rgb").rglob("*.jpg"):
         np.savez(capture / "ground_truth" / image.stem, depth_rgb=depth, depth_thermal=depth, label=label)
-    assert run(train.main, capture, *QUICK, "--max-steps", 2, "--result-dir", folder)[0] == 0
+    words = [capture, "--config", "demo", *QUICK]  # the preset of others than the sample sweeps depths
+    assert run(train.main, *words, "--max-steps", 2, "--result-dir", folder)[0] == 0
     trained = json.loads((folder / "regions.json").read_text())
     assert trained["steps"] == 2
     assert list(trained["regions"]) == ["all", "glass", "unlabelled"]

@@ -11,7 +11,7 @@ import pytest
 
 from training_processes import environment
 
-pytestmark = [pytest.mark.usefixtures("stoppable"), pytest.mark.rotating]
+pytestmark = pytest.mark.usefixtures("stoppable")
 
 
 def _terminate(process: "subprocess.Popen[str]") -> None:
@@ -39,6 +39,7 @@ def _stop_reading(process: "subprocess.Popen[str]") -> None:
     process.send_signal(signal.SIGTERM)
 
 
+@pytest.mark.rotating("commands in processes")
 @pytest.mark.parametrize(
     ("stop", "code"), [(_terminate, 143), (_hang_up, 129), (_stop_reading, 143)], ids=["SIGTERM", "SIGHUP", "head"]
 )

@@ -11,6 +11,7 @@ from ranks import Ranks
 STEPS = 30
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", ["still", "default", "mcmc", pytest.param("withheld", marks=pytest.mark.slow)])
 def test_replayed_steps_are_those_of_lines(ranks: Ranks, tmp_path: Path, kind: str) -> None:
     """Where Gaussians come and go, or are divided anew, too: recordings are forgotten then, by all ranks."""

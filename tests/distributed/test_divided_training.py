@@ -41,6 +41,7 @@ def judged(folder: Path) -> dict[str, float]:
     return found
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("kind", "count"), CASES)
 def test_ten_steps_equal_one_process(ranks: Ranks, tmp_path: Path, kind: str, count: int) -> None:
     """Density control, resets, cameras and missing views included; the checkpoints are of the same shape."""

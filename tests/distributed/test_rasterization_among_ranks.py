@@ -18,6 +18,7 @@ CASES = [
 ]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     ("kind", "options", "count", "idle", "dtype", "spare"),
     [(*case, torch.float64, None) for case in CASES]

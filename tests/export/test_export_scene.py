@@ -8,11 +8,21 @@ import pytest
 import torch
 
 from thermosplat.errors import UserError
-from thermosplat.export.scene import export_scene, spectrum_splats
+from thermosplat.export.export_frame import ExportFrame
+from thermosplat.export.scene import scene_splats, spectrum_splats, write_scene
+from thermosplat.export.splats import WrittenSplats
 from thermosplat.scene.decoder import with_fourier_features
 from thermosplat.scene.gaussians import SH_C0
+from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
 from toy_scene import toy_capture, toy_config, toy_model
+
+
+def exported(
+    model: SceneModel, folder: Path, scales: dict[str, PixelScale], spectra: list[str] | None = None
+) -> dict[str, WrittenSplats]:
+    """What is written of a model, in the frame of its capture."""
+    return write_scene(scene_splats(model, scales, spectra), folder, frame=ExportFrame(model.placement))
 
 
 def constant_color(sh0: torch.Tensor) -> torch.Tensor:
@@ -85,7 +95,7 @@ def test_files_state_what_thermal_colors_mean(tmp_path: Path) -> None:
     plyfile = pytest.importorskip("plyfile", reason='plyfile is not installed (pip install ".[test]")')
     capture = toy_capture(thermal_kind="scalar")
     model = toy_model(toy_config(), capture)
-    written = export_scene(model, tmp_path / "ply", scales=capture.scales)
+    written = exported(model, tmp_path / "ply", capture.scales)
     assert {path.name for path in (tmp_path / "ply").iterdir()} == {"splat_rgb.ply", "splat_thermal.ply"}
     rgb, thermal = (plyfile.PlyData.read(str(written[name].path)) for name in ("rgb", "thermal"))
     assert thermal["vertex"].count == written["thermal"].num_gaussians > 0
@@ -112,8 +122,8 @@ def test_unmodelled_spectrum_is_an_error(tmp_path: Path) -> None:
     capture = toy_capture(thermal=False)
     model = toy_model(toy_config(without=("thermal",)), capture)
     with pytest.raises(UserError, match="trained without thermal images"):
-        export_scene(model, tmp_path, scales=capture.scales, spectra=["thermal"])
-    assert list(export_scene(model, tmp_path, scales=capture.scales)) == ["rgb"]
+        exported(model, tmp_path, capture.scales, ["thermal"])
+    assert list(exported(model, tmp_path, capture.scales)) == ["rgb"]
 
 
 def test_unknown_temperatures_are_said_to_be_unknown(tmp_path: Path) -> None:
@@ -121,7 +131,7 @@ def test_unknown_temperatures_are_said_to_be_unknown(tmp_path: Path) -> None:
     capture = toy_capture()
     model = toy_model(toy_config(), capture)
     scales = {**capture.scales, "thermal": PixelScale("color", FLIR_IRON, None, "celsius")}
-    written = export_scene(model, tmp_path, scales=scales)
+    written = exported(model, tmp_path, scales)
     header = written["thermal"].path.read_bytes().split(b"end_header")[0]
     assert b"comment thermal_range unknown\n" in header
     assert np.frombuffer(written["thermal"].path.read_bytes().split(b"end_header\n", 1)[1], "<f4").size % 62 == 0
@@ -136,7 +146,7 @@ def test_a_third_spectrum_has_a_file_of_its_own(tmp_path: Path) -> None:
     torch.testing.assert_close(splats.logit_opacities, gaussians.logits_in("nir"))
     decoded = model.formations.decoder.image("nir", gaussians.features).detach()
     torch.testing.assert_close(constant_color(splats.sh0), decoded.expand(-1, 3))
-    written = export_scene(model, tmp_path, scales=capture.scales)
+    written = exported(model, tmp_path, capture.scales)
     assert list(written) == ["rgb", "thermal", "nir"]
     header = written["nir"].path.read_bytes().split(b"end_header")[0]
     assert b"comment nir_range 0 1 reflectance\n" in header

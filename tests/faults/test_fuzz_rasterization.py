@@ -5,6 +5,8 @@ THERMOSPLAT_FUZZ_CASES=5000 pytest tests/faults/test_fuzz_rasterization.py
 
 import os
 
+import pytest
+
 import rasterization_cases
 from forked_processes import run_python
 
@@ -12,6 +14,7 @@ CASES = int(os.environ.get("THERMOSPLAT_FUZZ_CASES", "300"))
 """As in the other tests of faults."""
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_any_arguments() -> None:
     """In a process of its own, which may crash or hang; the message then has the last case."""
     done = run_python(rasterization_cases.__file__, "--count", str(CASES), seconds=300 + CASES)

@@ -178,6 +178,7 @@ def used(run: Path, capture: Capture) -> None:
         assert len(error.message) < 1000
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_fuzzed_checkpoints(original: Path, capture: Capture, tmp_path: Path) -> None:
     """Every case is used as thermosplat-render and --resume do; bytes that were damaged never become other content."""
     content, before = original.read_bytes(), values_of(original)

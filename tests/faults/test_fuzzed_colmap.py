@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from capture_folders import rgb_image, synthetic_model, write_image
 from fuzzing import Fuzzer, changed_bytes, main, number_of_cases, run_apart
@@ -48,6 +49,7 @@ def make(root: Path) -> Fuzzer:
     return fuzzer
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_changed_colmap_models():
     """Lengths, numbers, names and lines of every file."""
     run_apart(__file__, number_of_cases(300))

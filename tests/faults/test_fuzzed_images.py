@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 import tifffile
 
 from capture_folders import rgb_image, temperatures
@@ -102,6 +103,7 @@ def make(root: Path) -> Fuzzer:
     return fuzzer
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_changed_images():
     """Headers, data and ends."""
     run_apart(__file__, number_of_cases(1000))

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from camera_folders import write_two_cameras
 from capture_folders import rgb_image, write_image, write_rgbt_scenes
@@ -126,6 +127,7 @@ def _name(work: Path, rng: np.random.Generator) -> None:
     said(evaluate.main, name)
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_strange_names() -> None:
     """In imports, captures, results and whatever else has a name."""
     run_apart(__file__, number_of_cases(25))

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from capture_folders import write_transforms
 from fuzzing import Fuzzer, changed_bytes, main, number_of_cases, run_apart
@@ -81,6 +82,7 @@ def make(root: Path) -> Fuzzer:
     return fuzzer
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_changed_settings():
     """Bytes of the files, and values of their trees."""
     run_apart(__file__, number_of_cases(600))

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from camera_folders import write_two_cameras
 from capture_folders import (
@@ -116,6 +117,7 @@ def make(root: Path) -> Fuzzer:
     return fuzzer
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_special_files_anywhere():
     """In bounded time and memory, whatever command reads the folder."""
     run_apart(__file__, number_of_cases(40))

@@ -193,6 +193,7 @@ def make(folder: Path) -> Fuzzer:
     return Fuzz(folder)
 
 
+@pytest.mark.rotating("fuzzed input")
 def test_strange_pages_and_requests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A few of them here, and as many as the environment asks for apart."""
     if number_of_cases(FEW) != FEW:

@@ -78,6 +78,7 @@ def check(threads: int, path: Path, expected: list[torch.Tensor]) -> None:
     assert not different
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("threads", [2, 4, 20])
 def test_first_renders_come_from_several_threads(
     threads: int, tmp_path: Path, of_one_thread: list[torch.Tensor]

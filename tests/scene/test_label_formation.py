@@ -13,7 +13,7 @@ from thermosplat.class_colors import colors_of, numbers_of
 from thermosplat.config import LossConfig
 from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.runs.checkpoint_file import load_checkpoint
-from thermosplat.scene.formations.image_terms import LossTerm
+from thermosplat.scene.formations.formation import LossTerm
 from thermosplat.scene.model import SceneModel
 from toy_run import toy_run_config, toy_sizes, toy_trainer
 from toy_scene import toy_model

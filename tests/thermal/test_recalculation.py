@@ -65,14 +65,6 @@ def test_golden_numbers() -> None:
     np.testing.assert_allclose(made.celsius, [10.2166, 25.7336, 88.8417], atol=1e-3)
 
 
-@pytest.mark.parametrize("said", [FLIR, replace(FLIR, planck=None), replace(FLIR, applied=False), None])
-def test_what_was_asked_for_can_be_undone(said: ThermalParameters | None) -> None:
-    """Whatever was applied and is asked for, to a millionth of a degree, over paths of any length."""
-    celsius, distances = np.linspace(-20, 150, 18), np.linspace(0.5, 80, 18)
-    other = recalculation(said, emissivity=0.7, reflected=10.0, air=5.0, humidity=0.3)
-    np.testing.assert_allclose(other.undone(other.celsius(celsius, distances).celsius, distances), celsius, atol=1e-6)
-
-
 @pytest.mark.parametrize("said", [FLIR, replace(FLIR, planck=None)])
 def test_to_ask_for_what_was_applied_changes_nothing(said: ThermalParameters) -> None:
     """The same number comes back."""

@@ -80,7 +80,7 @@ def test_baseline_learns(name: str, tmp_path: Path, capture: Capture) -> None:
     assert sorted(path.name for path in (tmp_path / "ply").iterdir()) == ["splat_rgb.ply", "splat_thermal.ply"]
 
 
-@pytest.mark.rotating
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize("name", BASELINES)
 def test_baseline_goes_on_from_a_checkpoint(name: str, tmp_path: Path, capture: Capture) -> None:
     """Stopped in the middle, a baseline ends where it would have ended undisturbed."""

@@ -56,6 +56,7 @@ def test_a_packed_frame_keeps_its_lenses() -> None:
     assert not copy.views["thermal"].lens.any()
 
 
+@pytest.mark.rotating("resumed runs")
 def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     """Bit for bit; its metrics say which images it was trained on."""
     capture, _ = rendered_behind_lenses()
@@ -75,6 +76,7 @@ def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 
+@pytest.mark.rotating("long trainings")
 def test_a_wrong_lens_of_the_photographs_comes_back(tmp_path: Path) -> None:
     """--refine distortion corrects the lens itself: gradients come from the projection, on the true scene."""
     capture, scene = rendered_behind_lenses()
@@ -86,6 +88,7 @@ def test_a_wrong_lens_of_the_photographs_comes_back(tmp_path: Path) -> None:
     assert_corrected(trainer, "rgb", FISHEYE)
 
 
+@pytest.mark.rotating("long trainings")
 def test_a_wrong_thermal_lens_comes_back(tmp_path: Path) -> None:
     """It is registered to the true scene through the lens itself."""
     capture, scene = relief_capture(lenses={"rgb": FISHEYE, "thermal": BARREL})

@@ -117,6 +117,7 @@ def test_a_level_alone() -> None:
         assert changed.images["rgb"] is images["rgb"]
 
 
+@pytest.mark.rotating("long trainings")
 def test_drift_of_a_sensor_is_told_from_the_scene(tmp_path: Path) -> None:
     """On the true scene the levels of a drifting sensor come out; only what asks for exposures has them."""
     capture, scene = rendered_capture()
@@ -136,6 +137,7 @@ def test_drift_of_a_sensor_is_told_from_the_scene(tmp_path: Path) -> None:
     assert (levels - levels.mean()).tolist() == pytest.approx(drift, abs=0.005)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", ["color", "scalar"])
 @pytest.mark.parametrize("others", [(), ("nir",)])
 def test_training_with_exposures(tmp_path: Path, kind: str, others: tuple[str, ...]) -> None:

@@ -9,7 +9,7 @@ from thermosplat.config import DensificationConfig
 from toy_run import many_frames, toy_run_config, toy_trainer
 from toy_scene import toy_capture
 
-MOST = 28
+MOST = 25
 MOST_OF_TRAINING = 11
 
 

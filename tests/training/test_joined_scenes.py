@@ -158,7 +158,7 @@ def test_what_a_user_sees(tmp_path: Path, capture: Capture, capsys: pytest.Captu
     assert [path.name for path in sorted((tmp_path / "ckpts").iterdir())][-1] == "step_000020.pt"
 
 
-@pytest.mark.rotating
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize("passed", [5, 16, 16 + 7, 16 + 16, 16 + 18])
 def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, passed: int) -> None:
     """In the first scene, between the two, in the second, where they become one, and after that."""
@@ -183,6 +183,7 @@ def stopped(trainer: Trainer) -> Path:
     return caught.value.checkpoint
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("passed", [16, 16 + 16])
 def test_a_scene_that_a_signal_ends_is_left_when_the_run_goes_on(
     tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch, passed: int
@@ -222,6 +223,7 @@ def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capt
     assert (second.step, len(second.state.kept_scenes)) == (0, 1)
 
 
+@pytest.mark.rotating("long trainings")
 @tolerating(prune_change=0.002, measured_views=3)
 def test_a_budget_looks_once_more_at_what_they_became(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each scene withholds views while it grows, and loses Gaussians; so does the one that all become. (Views that are
@@ -262,6 +264,7 @@ def test_separate_sets_become_one_each(tmp_path: Path, capture: Capture) -> None
         assert len(gaussians) >= first[name] + second[name] > 2 * len(capture.points)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", ["on", "moments"])
 def test_offloaded_scenes_become_one(tmp_path: Path, capture: Capture, kind: str) -> None:
     """What lies in the host's memory lies there again, and learns on; where and how opaque all is, is the same."""

@@ -59,6 +59,7 @@ def smooth(capture: Capture) -> Capture:
     return dataclasses.replace(capture, train=frames, test=frames)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     ("model", "nir"),
     [

@@ -49,6 +49,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     return trained(tmp_path_factory.mktemp("usual"), WORLD)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_capture_trains_alike_in_every_world(name: str, usual: Outcome, tmp_path: Path) -> None:
     """The same PSNR to rounding, and the PLY is that of usual coordinates, moved and scaled."""

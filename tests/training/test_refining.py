@@ -22,6 +22,7 @@ from toy_scene import toy_capture
 EVERY: tuple[Refined, ...] = ("poses", "rig", "intrinsics", "distortion")
 
 
+@pytest.mark.rotating("long trainings")
 def test_a_wrong_rig_and_focal_length_come_back(tmp_path: Path) -> None:
     """On the true scene, which is held, the thermal camera returns to where its images were taken from."""
     capture, scene = relief_capture()
@@ -88,6 +89,7 @@ def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) 
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("refine", "held"), [(("rig",), 8), (("poses", "distortion"), 8), (("poses",), 0), ((), 0)])
 def test_spectra_have_one_opacity_while_their_cameras_are_found(
     tmp_path: Path, refine: tuple[Refined, ...], held: int
@@ -103,6 +105,7 @@ def test_spectra_have_one_opacity_while_their_cameras_are_found(
     assert kept[held] > 0.9
 
 
+@pytest.mark.rotating("long trainings")
 @pytest.mark.parametrize(("budget", "steps"), [("fixed", 2), pytest.param("auto", 9, marks=pytest.mark.slow)])
 def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) -> None:
     """It trains, says what it changed, writes the cameras, and every later command sees them; so does a resumed run."""
@@ -131,6 +134,7 @@ def test_a_run_that_refines_everything(tmp_path: Path, budget: str, steps: int) 
     assert_same_state(state_tensors(resumed), state_tensors(again))
 
 
+@pytest.mark.rotating("long trainings")
 def test_a_loaded_run_has_the_corrected_capture(tmp_path: Path) -> None:
     """thermosplat-eval, -render and viewers take the cameras that training found; of another capture, its own."""
     run = tmp_path / "run"

@@ -107,6 +107,7 @@ def test_mcmc_grows_with_the_images_and_is_not_full_before(tmp_path: Path, captu
     assert full[-1]
 
 
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize(
     "changes",
     [
@@ -130,6 +131,7 @@ def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, capture: Capture, ch
     assert_same_state(state_tensors(second), state_tensors(whole))
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     ("widest", "factors"), [((160, 160), (1.0, 1.0)), ((40, 40), (1.2, 1.2)), ((40, 160), (1.2, 1.0))]
 )

@@ -52,6 +52,7 @@ def errors(model: SceneModel, capture: Capture) -> dict[str, float]:
     return {view.spectrum: float((view.image - view.target).detach().abs().median()) for view in views}
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("order", get_args(LineOrder))
 def test_the_true_scene_shows_what_is_read_line_by_line(order: LineOrder) -> None:
     """Whichever line is first. As if taken at once, the same scene is at least five times as far off."""
@@ -73,6 +74,7 @@ def test_photographs_have_shutters_and_lenses_too() -> None:
     assert {name: found[name] < 0.2 * still[name] for name in found} == {"rgb": True, "thermal": True}
 
 
+@pytest.mark.rotating("long trainings")
 def test_training_through_the_shutter_keeps_the_true_scene(tmp_path: Path) -> None:
     """Colours that fit stay; trained as if images were taken at once, they are bent to what the shutter did."""
     capture, model = relief()
@@ -110,6 +112,7 @@ def test_frames_with_other_line_orders_or_lenses_are_other_work() -> None:
     assert _shape(packed(frame_tensors(again, capture.scales, "cpu"))) == shapes[0]
 
 
+@pytest.mark.rotating("resumed runs")
 def test_a_resumed_run_is_the_same(tmp_path: Path) -> None:
     """Bit for bit."""
     capture = shaken(many_frames(toy_capture(aligned=False)), ("thermal",))

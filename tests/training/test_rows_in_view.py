@@ -11,7 +11,8 @@ from thermosplat.config import DensificationConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.fused.row_adam import RowAdam
 from thermosplat.runs.run_directory import RunDirectory
-from thermosplat.scene.offloaded import OffloadedParameter, some_offloaded
+from thermosplat.scene.gaussians import Gaussians
+from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.torch_bridge.host_rows import has_padded_rows
 from thermosplat.training.density import decomposition
 from thermosplat.training.step_kind import StepKind
@@ -57,6 +58,11 @@ def trained(path: Path, steps: int, *, aligned: bool = True, **settings: Any) ->
     return trainer
 
 
+def is_offloaded(gaussians: Gaussians) -> bool:
+    """Whether steps use rows of the set's harmonics, and not all of them."""
+    return isinstance(gaussians.get_parameter("shN"), OffloadedParameter)
+
+
 def close_states(one: Trainer, other: Trainer, tolerance: float = 1e-4) -> None:
     """Two states hold the same tensors, and the same numbers to rounding and what training makes of it."""
     found, expected = state_tensors(one), state_tensors(other)
@@ -65,6 +71,7 @@ def close_states(one: Trainer, other: Trainer, tolerance: float = 1e-4) -> None:
         torch.testing.assert_close(found[name], value, rtol=1e-2, atol=tolerance, msg=name)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("aligned", [True, False])
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
@@ -74,8 +81,8 @@ def test_trains_as_others_where_all_is_in_view(
     """Four steps with a refinement: the same numbers of Gaussians, parameters, moments and observations."""
     plain = trained(tmp_path / "plain", 4, aligned=aligned, **settings)
     offloaded = trained(tmp_path / "offloaded", 4, aligned=aligned, **settings, offload=kind)
-    assert all(map(some_offloaded, offloaded.state.gaussian_sets.values()))
-    assert not any(map(some_offloaded, plain.state.gaussian_sets.values()))
+    assert all(map(is_offloaded, offloaded.state.gaussian_sets.values()))
+    assert not any(map(is_offloaded, plain.state.gaussian_sets.values()))
     for name, gaussians in plain.state.gaussian_sets.items():
         assert len(offloaded.state.gaussian_sets[name]) == len(gaussians)
     close_states(offloaded, plain)
@@ -99,6 +106,7 @@ def test_what_is_out_of_view_stays(tmp_path: Path) -> None:
     assert optimizers["features"].state[held[1]]["step"] == 5
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("first", "then"), [("on", "off"), ("off", "on"), ("moments", "on"), (KINDS[2], "on")])
 def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None:
     """A checkpoint is the same file: what goes on from it ends where it would have ended otherwise."""
@@ -108,12 +116,13 @@ def test_resumes_with_and_without(tmp_path: Path, first: str, then: str) -> None
     half.run.write_config(half.recipe.asked)
     half.save()
     resumed = Trainer.resume(dataclasses.replace(config, offload=then), capture_of(), RunDirectory.open(half.run.path))
-    assert some_offloaded(resumed.state.gaussian_sets["shared"]) == (then == "on")
+    assert is_offloaded(resumed.state.gaussian_sets["shared"]) == (then == "on")
     while resumed.step < 6:
         resumed.train_step()
     close_states(resumed, whole)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_whole_run(tmp_path: Path, kind: str) -> None:
     """Training, evaluation, a budget's removals and export: the same counts and nearly the same metrics."""

@@ -285,6 +285,7 @@ def test_an_evaluation_that_a_kill_prevented_is_made_up_for(tmp_path: Path, capt
     assert evaluated[0] == evaluated[1]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("fate", ["renamed", "removed", "replaced"])
 @pytest.mark.parametrize("when", [6, 12])
 def test_a_result_folder_that_goes_away_ends_the_training_with_its_place(

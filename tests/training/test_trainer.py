@@ -61,6 +61,7 @@ def capture() -> Capture:
     return many_frames(toy_capture())
 
 
+@pytest.mark.rotating("resumed runs")
 def test_resumed_run_is_the_same_to_the_bit(tmp_path: Path, task: tuple[TrainConfig, Capture]) -> None:
     """Twelve steps equal six, a checkpoint, and six more, with Gaussians added, removed and reset in both halves."""
     config, capture = task

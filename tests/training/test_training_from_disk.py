@@ -45,6 +45,7 @@ BUDGET = AutoBudgetConfig(prune_at=(0.5,), validate_every=2)
 NOISY = {"thermal": {"by_noise": True}}
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     "config",
     [

@@ -32,34 +32,6 @@ Colors = Literal["palette", "scalar"]
 """How a spectrum that is no photograph is shown: in the colours of its palette, or as its intensity, black to white."""
 
 
-def export_scene(
-    model: SceneModel,
-    folder: Path,
-    *,
-    scales: Scales,
-    spectra: Iterable[str] | None = None,
-    compact: bool = False,
-) -> dict[str, WrittenSplats]:
-    """Write ``splat_<spectrum>.ply`` for each spectrum.
-
-    Args:
-        model: The trained scene.
-        folder: Folder to write into; made where there is none.
-        scales: What pixel values mean, by spectrum.
-        spectra: Which files to write. None: every spectrum that is modelled.
-        compact: Leave out spherical harmonics that are zero everywhere (``formats.ply.write_splats``).
-
-    Returns:
-        What was written, by spectrum.
-
-    Raises:
-        UserError: A spectrum that is asked for but not modelled.
-    """
-    return write_scene(
-        scene_splats(model, scales, spectra), folder, compact=compact, frame=ExportFrame(model.placement)
-    )
-
-
 def scene_splats(
     model: SceneModel,
     scales: Scales,
@@ -93,7 +65,7 @@ def write_scene(
     scalars: Mapping[str, Mapping[str, Tensor]] | None = None,
     frame: ExportFrame,
 ) -> dict[str, WrittenSplats]:
-    """The files of :func:`export_scene`, side by side; in any thread, as it does not touch the model.
+    """Write ``splat_<spectrum>.ply`` for each spectrum, side by side; in any thread, as it does not touch the model.
 
     Args:
         scene: What to write.

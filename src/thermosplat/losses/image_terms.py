@@ -16,8 +16,8 @@ from torch import Tensor
 from thermosplat.config import TrainConfig
 from thermosplat.fused.image_loss import SQUARED_TO, ImageTerm, warp_image_loss, warp_image_losses
 from thermosplat.image_quality.ssim import ssim_map
-from thermosplat.scene.formations.image_terms import LossTerm, masked
-from thermosplat.scene.formations.image_terms import image_terms as terms_of_image
+from thermosplat.scene.formations.formation import LossTerm, masked
+from thermosplat.scene.formations.formation import image_terms as terms_of_image
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.spectra import latent_channels
 

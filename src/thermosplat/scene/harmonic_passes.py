@@ -7,7 +7,7 @@ from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.rendered_frame import RenderedFrame
-from thermosplat.scene.views import Rendering, render_two_opacities, render_view
+from thermosplat.scene.views import Rendering, note_call, render_two_opacities, render_view
 from thermosplat.spectra import Spectrum
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def blend_harmonics(
         of_first = output.render_alphas.squeeze(0), None, output.render_colors.squeeze(0)
         blended[first.name] = Blended(view, *of_first)
         blended[second.name] = Blended(view, alphas.squeeze(0), None, colors.squeeze(0))
-        rendered.note_call(SHARED, [first.name, second.name], output.info)
+        note_call(rendered, SHARED, [first.name, second.name], output.info)
     for spectrum in rest:
         name = spectrum.name
         own_set = name if name in sets else SHARED
@@ -65,5 +65,5 @@ def blend_harmonics(
         )
         blended[name] = Blended(view, alpha, None, colors)
         if not rendering.geometry_held:
-            rendered.note_call(own_set, [name], info)
+            note_call(rendered, own_set, [name], info)
     return blended

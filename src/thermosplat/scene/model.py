@@ -31,7 +31,7 @@ from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.harmonic_passes import blend_harmonics
 from thermosplat.scene.initial_gaussians import SHARED, initial_gaussians
 from thermosplat.scene.lens_distortion import nearest_distorted
-from thermosplat.scene.offloaded import GaussiansInView, gaussians_in_view, stored_values
+from thermosplat.scene.offloaded import GaussiansInView, OffloadedParameter, gaussians_in_view, stored_values
 from thermosplat.scene.packed_parameters import num_bytes, pack
 from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
@@ -202,11 +202,14 @@ class SceneModel(nn.Module):
         return replace(view, unscented=True) if self.unscented else view
 
     def _to_render(self, name: str, views: Views, groups: Groups, sh_degree: int) -> Gaussians:
-        """What of a set is rendered for these views, in groups that share a camera: all, or where some of it is
-        offloaded, what is in view."""
+        """What of a set is rendered for these views, in groups that share a camera: all, or where steps use rows of one
+        of its parameters, what is in view."""
         firsts = (next((spectrum for spectrum in group if spectrum in views), None) for group in groups)
         cameras = [views[spectrum] for spectrum in firsts if spectrum is not None and self.set_of(spectrum) == name]
-        return gaussians_in_view(self.gaussians(name), cameras, sh_degree, self.pixel_filter)
+        gaussians = self.gaussians(name)
+        if cameras and any(isinstance(value, OffloadedParameter) for value in gaussians.parameters()):
+            return gaussians_in_view(gaussians, cameras, sh_degree, self.pixel_filter)
+        return gaussians
 
     def _blended(
         self,

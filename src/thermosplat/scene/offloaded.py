@@ -88,11 +88,6 @@ def offload(gaussians: Gaussians, device: torch.device, *, parameters: bool) -> 
             setattr(gaussians, name, moved)
 
 
-def some_offloaded(gaussians: nn.Module) -> bool:
-    """Whether steps use rows of a parameter of the set, and not all of it."""
-    return any(isinstance(value, OffloadedParameter) for value in gaussians.parameters())
-
-
 def stored_values(gaussians: nn.Module) -> dict[str, Tensor]:
     """A set's state as checkpoints take it. What is offloaded is copied to tensors of the CPU, so that packing it takes
     none of the device's memory.
@@ -138,21 +133,9 @@ class GaussiansInView(Gaussians):
 
 
 def gaussians_in_view(
-    gaussians: Gaussians,
-    views: Sequence["ViewTensors"],
-    sh_degree: int,
-    pixel_filter: PixelFilter,
-) -> Gaussians:
-    """What there is to render for some views: the set, or where some of it is offloaded, its Gaussians in view.
-
-    Args:
-        gaussians: The set.
-        views: The cameras; none: the set is not rendered.
-        sh_degree: Highest degree of the spherical harmonics in use.
-        pixel_filter: How footprints are widened.
-    """
-    if not views or not some_offloaded(gaussians):
-        return gaussians
+    gaussians: Gaussians, views: Sequence["ViewTensors"], sh_degree: int, pixel_filter: PixelFilter
+) -> GaussiansInView:
+    """What there is to render of a set for some cameras. Other arguments are those of ``GaussiansInView``."""
     return GaussiansInView(gaussians, indices_in_view(gaussians, views, pixel_filter), sh_degree)
 
 

@@ -1,6 +1,5 @@
 """What a model renders of one frame: the tensors that losses, metrics and densification read."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -53,17 +52,6 @@ class RenderedFrame:
         thermal image, and its value is right all the same (benchmarks/records/map.md).
         """
         return torch.stack([alpha[..., 0] for alpha in self.alphas.values()]).amax(0) >= LEAST_COVER
-
-    def note_call(self, gaussian_set: str, spectra: Sequence[str], info: dict[str, Any]) -> None:
-        """Keep what the rasterization says about a call.
-
-        Args:
-            gaussian_set: Name of the set that it rendered.
-            spectra: The spectra that it was for.
-            info: As ``rasterization`` returns it.
-        """
-        info["spectra"] = tuple(spectra)
-        self.infos.setdefault(gaussian_set, []).append(info)
 
     def include(self, part: "RenderedFrame") -> None:
         """Take over the images of another frame, and what they were made of; not what was said of calls.

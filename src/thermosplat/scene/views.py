@@ -278,7 +278,7 @@ def blend_features(
         image, alpha, info = render_view(gaussians, values, logit_opacities, view, rendering)
         keep(seen_by, image, alpha)
         if not rendering.geometry_held:
-            rendered.note_call(SHARED, seen_by, info)
+            note_call(rendered, SHARED, seen_by, info)
 
     if photograph is not None:
         second = own_opacity.pop(0) if own_opacity else None
@@ -288,12 +288,18 @@ def blend_features(
         keep(at_alpha, output.render_features.squeeze(0), output.render_alphas.squeeze(0), colors)
         if second is not None:
             keep([second], output.render_thermal_features.squeeze(0), output.render_thermal_alphas.squeeze(0))  # type: ignore[union-attr]
-        rendered.note_call(SHARED, [*at_alpha, *([] if second is None else [second])], output.info)
+        note_call(rendered, SHARED, [*at_alpha, *([] if second is None else [second])], output.info)
     elif at_alpha:
         render_alone(at_alpha, gaussians.logit_opacities)
     for name in own_opacity:
         render_alone([name], gaussians.logits_in(name))
     return blended
+
+
+def note_call(rendered: RenderedFrame, gaussian_set: str, spectra: Sequence[str], info: dict[str, Any]) -> None:
+    """Keep in the frame what the rasterization says about a call of a set for some spectra."""
+    info["spectra"] = tuple(spectra)
+    rendered.infos.setdefault(gaussian_set, []).append(info)
 
 
 def _blended_values(gaussians: Gaussians, view: "ViewTensors", rendering: Rendering) -> Tensor:

@@ -131,17 +131,6 @@ class Recalculation:
             changed[where] = sound
         return Recalculated(values, changed, tuple(dict.fromkeys(reasons)))
 
-    def undone(self, celsius: Any, distance: Any = None) -> Array:
-        """The inverse of ``celsius`` for the scene's settings: what the capture showed for a recalculated temperature.
-
-        Args:
-            celsius: [...] [°C].
-            distance: As of ``celsius``.
-        """
-        far = self._path_length(distance)
-        signal = self._sightline(self.settings).seen(self.law, celsius, far)
-        return self.applied.object_celsius(self.law, signal)
-
     def _path_length(self, distance: Any) -> Array | None:
         """Distances [m] whose air counts; None: what was stated."""
         if distance is None or not self.air_is_known:

@@ -45,6 +45,7 @@ def words(printed: str) -> str:
     return " ".join(printed.replace("│", " ").split())
 
 
+@pytest.mark.slow
 def test_photographs_alone(files: Path, run: Run, tmp_path: Path) -> None:
     """Each step says what is left out; the capture of photographs is one that training reads."""
     out = tmp_path / "out"

@@ -43,6 +43,7 @@ def check(path: Path, kind: TiffKind) -> bool:
     return True
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("codecs", [True, False])
 @pytest.mark.parametrize("dtype", TYPES)
 def test_every_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dtype: str, codecs: bool) -> None:

@@ -17,6 +17,7 @@ CHECKERBOARD = Board("checkerboard", 8, 6, 0.04)
 BOARDS = [CHECKERBOARD, Board("circles", 4, 9, 0.035), Board("charuco", 9, 6, 0.05, 0.038)]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.kind)
 def test_lenses_and_rig_are_those_of_the_cameras(board: Board, tmp_path: Path) -> None:
     """Thermal focal length to 0.2%, rotation to 0.05°, translation to 1 mm; dark squares are warm."""
@@ -34,6 +35,7 @@ def test_lenses_and_rig_are_those_of_the_cameras(board: Board, tmp_path: Path) -
     assert any("px in the thermal image" in sentence for sentence in report.sentences)
 
 
+@pytest.mark.rotating("boards of other sizes")
 def test_too_few_boards_are_counted(tmp_path: Path) -> None:
     """Another board than was stated: none is found, and the sentence says what was looked for."""
     rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=3)
@@ -46,6 +48,7 @@ def test_too_few_boards_are_counted(tmp_path: Path) -> None:
     assert not (tmp_path / "capture" / "calibration.json").exists()
 
 
+@pytest.mark.rotating("boards of other sizes")
 def test_a_board_of_other_numbers_is_told_at_once(tmp_path: Path) -> None:
     """Squares that were counted for corners: the message has the numbers, after a few of the images."""
     rgb, thermal = write_boards(tmp_path / "boards", true_rig(), CHECKERBOARD, count=4)

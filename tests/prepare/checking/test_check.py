@@ -188,6 +188,7 @@ def turned_pose(quarter: int) -> NDArray[np.float64]:
     return pose
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     ("changed", "camera", "said"),
     [

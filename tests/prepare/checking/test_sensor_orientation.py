@@ -27,6 +27,7 @@ def pair(number: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
 PAIRS = [pair(number) for number in range(12)]
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("quarter", [0, 1, 2, 3])
 @pytest.mark.parametrize("mirror", [False, True])
 def test_orientations(quarter: int, mirror: bool) -> None:
@@ -42,6 +43,7 @@ def test_orientations(quarter: int, mirror: bool) -> None:
     assert found.upright == (quarter == 0 and not mirror)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("quarter", [0, 1, 2])
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("camera", [0, 2])

@@ -82,6 +82,7 @@ def test_good_captures_are_left_alone(good: Capture) -> None:
     assert wrong_notes(on_disk, DEFAULT_SPECTRA) == []
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     ("spectra", "change", "said"),
     [

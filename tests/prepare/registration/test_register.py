@@ -42,6 +42,7 @@ def with_thermal_images(capture: CaptureFolder, change: object) -> None:
         cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))  # type: ignore[operator]
 
 
+@pytest.mark.rotating("structure from motion")
 def test_true_points_land_where_the_true_camera_sees_them(room: Room, tmp_path: Path) -> None:
     """Half a pixel in the median, though nothing was known of lens and pose; training reads the rig."""
     truth, capture = room[0], copied(room[1], tmp_path / "capture")
@@ -156,6 +157,7 @@ def test_pairs_without_poses_are_too_few(room: Room, tmp_path: Path) -> None:
         register(capture)
 
 
+@pytest.mark.rotating("structure from motion")
 def test_a_board_gives_metres(room: Room, tmp_path: Path) -> None:
     """With the rig's calibration, distances between cameras are the true ones to 3%; again changes nothing."""
     truth, capture = room[0], copied(room[1], tmp_path / "capture")

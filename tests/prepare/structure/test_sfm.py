@@ -36,6 +36,7 @@ def copied(capture: CaptureFolder, to: Path) -> CaptureFolder:
     return CaptureFolder(to)
 
 
+@pytest.mark.rotating("structure from motion")
 def test_photographs_of_a_room_have_their_poses(room: tuple[SeenRoom, CaptureFolder]) -> None:
     """Relative rotations agree with the truth to 0.2°, and the model's names are below images/."""
     truth, capture = room
@@ -65,6 +66,7 @@ def test_a_photograph_that_is_no_file(room: tuple[SeenRoom, CaptureFolder], tmp_
         run_sfm(capture)
 
 
+@pytest.mark.rotating("structure from motion")
 def test_a_killed_step_goes_on(
     room: tuple[SeenRoom, CaptureFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,6 +94,7 @@ def test_a_killed_step_goes_on(
     assert report.sentences[0].startswith("12 of 12")
 
 
+@pytest.mark.rotating("structure from motion")
 def test_what_has_no_pose_is_named_with_the_reason(room: tuple[SeenRoom, CaptureFolder], tmp_path: Path) -> None:
     """A blank photograph has too few features; one of noise matches nothing; one that is cut off cannot be read."""
     capture = copied(room[1], tmp_path / "capture")
@@ -129,6 +132,7 @@ def test_photographs_without_texture_make_no_model(room: tuple[SeenRoom, Capture
     assert not capture.sparse.exists()
 
 
+@pytest.mark.rotating("structure from motion")
 def test_photographs_with_gps_are_in_metres(room: tuple[SeenRoom, CaptureFolder], tmp_path: Path) -> None:
     """The room ten times as large, somewhere on the Earth: cameras lie where GPS has them, and geo.json says where."""
     truth, capture = room[0], copied(room[1], tmp_path / "capture")

@@ -279,6 +279,7 @@ def test_offsets_of_each_spectrum_go_by_its_own_images(tmp_path: Path) -> None:
     assert torch.equal(gaussians.nir_opacity_offsets == 0, zeros)
 
 
+@pytest.mark.rotating("long trainings")
 def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
     """metrics.json says how small; the checkpoint holds as much, without moments, and comes back equal."""
     capture = many_frames(toy_capture(), FRAMES)
@@ -301,6 +302,7 @@ def test_model_gets_as_small_as_it_is(tmp_path: Path) -> None:
     assert path.stat().st_size < 0.5 * fixed.run.checkpoint(40).stat().st_size
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("part", ["_prune", "drop_offsets", "reduce_features"])
 @tolerating(offset_change=0.01, feature_change=0.05)
 def test_what_memory_was_too_small_for_is_made_up_for(
@@ -343,6 +345,7 @@ def test_a_finished_run_is_trimmed_once_and_may_go_on(tmp_path: Path) -> None:
     assert longer.state.trimmed
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("looks", [2, 12])
 def test_interrupted_trimming_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
     """Ctrl-C while it is tried what may go, spherical harmonics or half of the bits: what was trained is saved."""
@@ -427,6 +430,7 @@ def test_channels_of_losses_count_as_images(tmp_path: Path, monkeypatch: pytest.
     assert seen == [({"features_rgb", "features_thermal"}, 0.03), ({"features_rgb"}, 0.03), (set(), 0.03)]
 
 
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize("stop", [7, 30])
 @pytest.mark.parametrize("spectra", [{}, {"nir": {"opacity": "offset"}, "red": {"opacity": "own", "features": None}}])
 @tolerating(feature_change=1e9)

@@ -145,6 +145,7 @@ def test_shares_are_of_all_terms_of_a_spectrum(tmp_path: Path, fused: bool) -> N
         assert bool(offsets.grad.abs().max() > 0) == is_above
 
 
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize("batch_size", [None, 2])
 @tolerating(noise_floor=3.0)
 def test_resumed_run_is_the_same(tmp_path: Path, batch_size: int | None) -> None:

@@ -188,6 +188,7 @@ def shown(trainer: Trainer, start: int, end: int) -> set[str]:
     return {trainer.schedule.frame(step).name for step in range(start, end)}
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(("noise", "noisy"), [(NOISE, True), (1e-9, False)])
 def test_views_stay_withheld_while_noise_may_be_learnt(tmp_path: Path, noise: float, noisy: bool) -> None:
     """Beyond growth, up to the last removal; where images have no noise to speak of, growth frees them."""
@@ -295,6 +296,7 @@ def test_a_held_spectrum_goes_back_at_the_last_removal(
     assert withheld < shown(trainer, 20, 100)
 
 
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize("batch_size", [None, 2])
 @tolerating(spectrum_looks=2)
 def test_resumed_run_is_the_same(

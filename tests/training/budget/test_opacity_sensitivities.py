@@ -98,6 +98,7 @@ def test_offset_effects_of_each_spectrum() -> None:
         torch.testing.assert_close(estimated, expected, rtol=0.3, atol=1e-3 * expected.max().item())
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize(
     "settings",
     [

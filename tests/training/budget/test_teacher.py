@@ -140,6 +140,7 @@ def test_shows_exposures_as_they_are(tmp_path: Path) -> None:
     assert not image.requires_grad
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("batch_size", [None, 2])
 def test_a_held_spectrum_is_trained_on_what_its_teacher_shows(tmp_path: Path, batch_size: int | None) -> None:
     """It comes nearer to that, and away from the photographs; what is noted are errors against photographs."""

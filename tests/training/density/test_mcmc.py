@@ -258,6 +258,7 @@ def test_noise_is_the_same_in_all_units() -> None:
     torch.testing.assert_close(moves[1], 10.0 * moves[0], rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("spectra", SPECTRA)
 @pytest.mark.parametrize("apart", [0.0, 0.6])
 def test_a_run_grows_to_its_budget(tmp_path: Path, spectra: dict[str, dict[str, Any]], apart: float) -> None:
@@ -291,6 +292,7 @@ def test_out_of_memory_behind_the_update(tmp_path: Path, monkeypatch: pytest.Mon
     assert of_means["step"] == 6
 
 
+@pytest.mark.rotating("resumed runs")
 @pytest.mark.parametrize("spectra", SPECTRA)
 def test_resumed_run_draws_the_same_noise(tmp_path: Path, spectra: dict[str, dict[str, Any]]) -> None:
     """Noise is a function of seed and step: a run that stopped ends as one that did not."""

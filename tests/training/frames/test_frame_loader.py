@@ -267,6 +267,7 @@ print(*(process.pid for one in (loader, other) for process in one._reading._proc
 """
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("end", ["os.kill(os.getpid(), 9)", "raise KeyError"])
 def test_none_is_left_behind(root: Path, end: str) -> None:
     """However the process that trains ends, those that read end, too, and it does not wait for them for long."""

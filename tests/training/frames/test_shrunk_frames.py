@@ -41,6 +41,7 @@ def test_averages_over_the_area_of_a_pixel(width: int, height: int, channels: in
     assert found.is_contiguous()
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("factor", [2, 3])
 def test_the_images_that_a_data_factor_makes(factor: int) -> None:
     """Cameras are the same to the bit, photographs up to the rounding of a data factor's to 8 bits."""

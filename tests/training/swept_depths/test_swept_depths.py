@@ -83,6 +83,7 @@ def test_each_frame_has_its_own(tmp_path: Path) -> None:
     assert swept.losses(at_log_depth(pixels[1:]), torch.tensor(1)) == {}
 
 
+@pytest.mark.rotating("long trainings")
 def test_a_scene_is_drawn_to_them(tmp_path: Path) -> None:
     """A relief that lies 3% too far is drawn back by this loss alone, to a third of that at most."""
     capture, scene = relief_capture()

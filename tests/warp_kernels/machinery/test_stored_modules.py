@@ -78,6 +78,7 @@ def run() -> float:
     return float(values.numpy()[0])
 
 
+@pytest.mark.rotating
 @pytest.mark.parametrize("kind", [".o", ".meta", "seal"])
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_files_are_made_again(kind: str, damage: str, cache: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -13,8 +13,7 @@ from torch import Tensor
 from thermosplat.class_colors import colors_of, numbers_of
 from thermosplat.config import LossConfig, ModelConfig
 from thermosplat.fused.image_loss import ImageTerm
-from thermosplat.scene.formations.formation import Blended, Common
-from thermosplat.scene.formations.image_terms import LossTerm
+from thermosplat.scene.formations.formation import Blended, Common, LossTerm
 from thermosplat.scene.formations.own_network import NetworkFormation
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.rendered_frame import RenderedFrame

@@ -16,8 +16,7 @@ from thermosplat.config import LossConfig, ModelConfig
 from thermosplat.config.band_formulas import parsed
 from thermosplat.errors import UserError
 from thermosplat.fused.image_loss import ImageTerm
-from thermosplat.scene.formations.formation import Blended, Common
-from thermosplat.scene.formations.image_terms import LossTerm
+from thermosplat.scene.formations.formation import Blended, Common, LossTerm
 from thermosplat.scene.formations.own_network import NetworkFormation
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.rendered_frame import RenderedFrame
