@@ -74,6 +74,8 @@ class Changes:
 
     shift: float
     """Common difference of values, other date minus first, in their unit."""
+    shift_uncertainty: float
+    """Half of its 95% interval: it holds what the levels of both cameras did."""
     differences: Array
     """Other minus first minus the shift, [H, W]; NaN where a date shows nothing, or where a thing is gone or new."""
     uncertainties: Array
@@ -120,7 +122,8 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
     )
     found = sorted([*changed, *moved], key=lambda one: -int(one.mask.sum()))
     share = float(things.sum() / max(known.sum(), 1))
-    return Changes(shift, differences, uncertainties, tuple(found), share)
+    drift = _NORMAL * float(np.hypot(first.drift, other.drift))
+    return Changes(shift, drift, differences, uncertainties, tuple(found), share)
 
 
 def _things(first: Array, other: Array, pixel: float) -> tuple[NDArray[np.bool_], Array]:

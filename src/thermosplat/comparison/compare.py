@@ -6,15 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from thermosplat.comparison.changes import SEASON, Changes, find_changes
 from thermosplat.comparison.dated_map import Date, dated_map
-from thermosplat.comparison.files import entries, write_difference, write_page, write_tables
+from thermosplat.comparison.files import entries, symmetric, write_difference, write_page, write_tables
 from thermosplat.comparison.over_time import over_time
 from thermosplat.export.maps.georeference import located_frame
 from thermosplat.export.maps.geotiff import rasterio_module
 from thermosplat.export.maps.map_frame import local_frame
 from thermosplat.export.maps.orthomosaic import MapGrid
 from thermosplat.spectra import unit_label
+from thermosplat.thermography.comparison_file import VERSION, WHAT
 
 _PIXELS = 1500
 """Along the longer side of the grid."""
@@ -56,11 +59,27 @@ def compare(
     for date, later, found in zip(dates[1:], maps[1:], changes):
         line = _said(date.name, dates[0].name, found, unit)
         said.append(line)
-        stated.append({"name": date.name, "said": line, "shift": found.shift, "changes": entries(found, grid)})
+        offset = np.zeros(3) if date.to_first.offset is None else date.to_first.offset
+        to_first = np.column_stack([date.to_first.scale * date.to_first.rotation, offset])
+        stated.append(
+            {
+                "name": date.name,
+                "run": str(date.run.directory.path.resolve()),
+                "said": line,
+                "shift": found.shift,
+                "shift_plus_minus": found.shift_uncertainty,
+                "span": symmetric(found)[1],
+                "to_first": to_first.tolist(),
+                "changes": entries(found, grid),
+            }
+        )
         name = re.sub(r"[^\w.-]+", "_", date.name)
         files += write_difference(folder, grid, (maps[0], later), found, unit, name)
     rows = over_time(dates, maps, changes)
     content = {
+        "format": f"thermosplat-{WHAT}",
+        "version": VERSION,
+        "run": str(dates[0].run.directory.path.resolve()),
         "first": dates[0].name,
         "spectrum": spectrum,
         "unit": unit,
@@ -91,6 +110,7 @@ def _said(name: str, first: str, changes: Changes, unit: str) -> str:
         else ""
     )
     return (
-        f"From {first} to {name} all values changed by {changes.shift:+.2f} {unit_label(unit)}, as weather does. "
+        f"From {first} to {name} all values changed by {changes.shift:+.2f} ± {changes.shift_uncertainty:.2f} "
+        f"{unit_label(unit)}: weather, and the levels of both cameras. "
         f"Beyond that, places that changed: {listed}.{season}"
     )

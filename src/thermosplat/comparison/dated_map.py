@@ -47,6 +47,8 @@ class DatedMap:
     photographs."""
     photograph: NDArray[np.float32] | None
     """Colours in [0, 1], [H, W, 3]; None where the run has none."""
+    drift: float = 0.0
+    """Standard deviation of the level of its thermal images, which their camera sets."""
 
 
 @torch.no_grad()
@@ -84,7 +86,8 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
         if photographs is not None:
             colours = rendered.images[leading].clamp(0, 1).cpu().numpy()
             seen[at] = np.where(there[..., None], colours, np.nan)
-    return DatedMap(values, half_widths, heights, seen if photographs is not None else None)
+    drift = certainty.calibration.drift
+    return DatedMap(values, half_widths, heights, seen if photographs is not None else None, drift)
 
 
 def _parts(grid: MapGrid) -> Iterator[tuple[MapGrid, slice, slice]]:

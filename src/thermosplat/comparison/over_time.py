@@ -71,9 +71,5 @@ def _viewed(date: Date) -> ViewedScene:
 def _moved(definition: Definition, first: Date, other: Date) -> Definition:
     """A definition whose standpoint is in the world of another date."""
     view = first.run.model.placement.viewmat_to_scene(definition.standpoint.viewmat)
-    there = np.eye(4)
-    offset = np.zeros(3) if other.to_first.offset is None else other.to_first.offset
-    there[:3, :3] = view[:3, :3] @ other.to_first.rotation
-    there[:3, 3] = (view[:3, :3] @ offset + view[:3, 3]) / other.to_first.scale
-    world = other.run.model.placement.viewmat_to_world(there)
+    world = other.run.model.placement.viewmat_to_world(other.to_first.viewmat_to_scene(view))
     return replace(definition, standpoint=replace(definition.standpoint, viewmat=world))
