@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from thermosplat.comparison.changes import find_changes
+from thermosplat.comparison.compare import _said
 from thermosplat.comparison.dated_map import DatedMap
 
 SIZE, PIXEL, SHIFT = 160, 0.05, -6.0
@@ -80,6 +81,17 @@ def test_heights_without_anything_to_see_are_unsure() -> None:
     heights = np.zeros((SIZE, SIZE))
     heights[30:60, 100:130] = 3.0
     assert not find_changes(shown(houses(), noise=1), shown(houses(), heights, noise=2), PIXEL).found
+
+
+def test_another_season() -> None:
+    """Where a third of the ground is hidden by leaves, that is said beside what was found."""
+    heights, leaves = np.zeros((SIZE, SIZE)), houses()
+    heights[:, : SIZE // 3] = 3.0
+    leaves[:, : SIZE // 3] = 5.0 + 3.0 * (np.arange(SIZE) // 8 % 2)[:, None]
+    found = find_changes(shown(houses(), noise=1), shown(leaves, heights, noise=2), PIXEL)
+    assert "% of the surface has another height: leaves or snow" in _said("july", "march", found, "celsius")
+    same = find_changes(shown(houses(), noise=1), shown(houses(), noise=2), PIXEL)
+    assert "leaves" not in _said("july", "march", same, "celsius")
 
 
 def test_dates_that_show_nothing_in_common() -> None:

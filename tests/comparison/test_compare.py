@@ -38,6 +38,7 @@ def date(name: str, path: Path, model: SceneModel, capture: Any, to_first: MapFr
         geo=None,
         directory=SimpleNamespace(path=path / name),
         certainties=lambda capture: {"thermal": sure},
+        temperatures=lambda: None,
     )
     return Date(name, run, capture, to_first)
 
@@ -94,6 +95,37 @@ def test_a_place_of_known_area_in_another_scenes_frame(tmp_path: Path) -> None:
     assert 1.8 * points < faces < 2 * points
     table = np.frombuffer(body, np.dtype([("place", "<f4", 3), ("rest", "u1", 11)]), points)
     assert np.isfinite(table["place"]).all()
+
+
+STANDPOINT = {"viewmat": np.diag([1.0, -1.0, -1.0, 1.0]).tolist(), "fov_y": 40.0, "width": 80, "height": 60}
+STANDPOINT["viewmat"][2][3] = 4.0  # below the roof
+SPOT = {"name": "S1", "shape": "spot", "layer": "image", "spectrum": "thermal", "places_px": [[52.5, 16.5]]}
+BOOK = {"format": "thermosplat-measurements", "version": 1, "measurements": [{**SPOT, "view": STANDPOINT}]}
+
+
+@torch.no_grad()
+def test_a_measurement_and_a_place_over_three_dates(tmp_path: Path) -> None:
+    """A place that differs at two later dates has one row, and a spot of the first run is measured in each scene's own
+    axes and units."""
+    model, capture = field_model(np.eye(3))
+    flat = dataclasses.replace(capture, points=np.array([[-2, -1.5, 0], [2, 1.5, 0]], np.float32))
+    there = MapFrame(TURN, 2.0, np.array([1.0, 0.5, 3.0]))
+    other = warmer_but_for_a_place(field_model(np.eye(3))[0])
+    for name in other.spectra:
+        gaussians = other.gaussians(name)
+        gaussians.means.data = torch.tensor(there.to_scene(gaussians.means.numpy()), dtype=torch.float32)
+        gaussians.log_scales.data -= np.log(there.scale)
+    dates = [date("march", tmp_path, model, flat, MapFrame(np.eye(3)))]
+    dates += [date(name, tmp_path, other, flat, there) for name in ("june", "july")]
+    (tmp_path / "march" / "measurements").mkdir(parents=True)
+    (tmp_path / "march" / "measurements" / "measurements.json").write_text(json.dumps(BOOK))
+    compare(dates, "thermal", "rgb", tmp_path / "made", pixel=0.04, extent=(-1.8, -1.3, 1.8, 1.3))
+    head, place, spot = csv.reader((tmp_path / "made" / "over_time.csv").open())
+    assert head == ["what", "march", "june", "july"]
+    assert place[0] == "june 1, colder"
+    for row in (place, spot):  # the warm square, which is as it was
+        values = [float(value) for value in row[1:]]
+        assert values == pytest.approx([float(celsius_at(np.array(0.6), np.array(0.7)))] * 3, abs=0.5)
 
 
 def _pictures(page: str) -> list[str]:

@@ -26,20 +26,28 @@ class Row:
 
 
 def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence[Changes]) -> list[Row]:
-    """One row for each change of a temperature, then one for each measurement.
+    """One row for each place whose temperature changed, then one for each measurement.
+
+    A place that changed at several dates has one row, under its first name.
 
     Args:
         dates: The dates.
         maps: What they show on the grid.
         changes: Of each later date against the first.
     """
-    rows = []
+    rows, places = [], list[NDArray[np.bool_]]()
     for date, found in zip(dates[1:], changes):
         for number, change in enumerate(found.found, 1):
-            if change.kind in ("warmer", "colder"):
+            if change.kind in ("warmer", "colder") and not any(_same_place(change.mask, one) for one in places):
                 means = tuple(_mean(one.values, change.mask) for one in maps)
                 rows.append(Row(f"{date.name} {number}, {change.kind}", means))
+                places.append(change.mask)
     return [*rows, *_measurements(dates)]
+
+
+def _same_place(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
+    """Whether two places overlap by half or more of what either covers."""
+    return bool(2 * (one & other).sum() >= (one | other).sum())
 
 
 def _mean(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> float | None:

@@ -207,17 +207,20 @@ class LayerRenderer:
         return image_layer(Layer("before", name), image, scene.scales[name], values=values, shown=span)
 
     def _change(self, name: str, view: ViewTensors, rendered: RenderedFrame) -> LayerImage:
-        """What became warmer or colder beyond what everything did; nothing where a thing is gone or new."""
+        """What became warmer or colder beyond what everything did; nothing where no spectrum has the same depth, as a
+        thing is gone or new there."""
         layer, earlier = Layer("change", name), self.scene.earlier
         assert earlier is not None  # noqa: S101  there is such a layer
         now = image_layer(layer, rendered.images[name], self.scene.scales[name], values=True)
         before = self._before(name, view)
-        depth = self.scene.model.render_depth(name, view)
-        depth_before = earlier.to_later.scale * earlier.scene.model.render_depth(name, earlier.view(view))
-        same = ((depth > 0) & ((depth - depth_before).abs() < _SAME_PLACE * depth)).cpu().numpy()
+        same = torch.zeros(view.height, view.width, dtype=torch.bool, device=view.viewmat.device)
+        for spectrum in filter(earlier.scene.scales.__contains__, self.scene.model.spectra):
+            depth = self.scene.model.render_depth(spectrum, view)
+            then = earlier.to_later.scale * earlier.scene.model.render_depth(spectrum, earlier.view(view))
+            same |= (depth > 0) & (then > 0) & ((depth - then).abs() < _SAME_PLACE * depth)
         assert now.field is not None  # noqa: S101  of a spectrum of values
         assert before.field is not None  # noqa: S101
-        field = np.where(same, now.field - before.field - earlier.shift, np.nan).astype(np.float32)
+        field = np.where(same.cpu().numpy(), now.field - before.field - earlier.shift, np.nan).astype(np.float32)
         ends = (-earlier.span, earlier.span)
         return LayerImage(layer, field, None, display_palette("blue red"), ends, now.unit, "change", now.decimals)
 
