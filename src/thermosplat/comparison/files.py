@@ -70,9 +70,10 @@ def write_difference(
         unit=unit,
         tags={"SOFTWARE": "thermosplat", "FRAME": grid.frame.note, "SHIFT": f"{changes.shift:.3f}"},
     )
-    there = np.isfinite(changes.differences) & np.isfinite(maps[1].heights)
+    heights = maps[1].heights if maps[1].surface is None else maps[1].surface
+    there = np.isfinite(changes.differences) & np.isfinite(heights)
     rows, columns = np.nonzero(there)
-    places = np.column_stack([*_place(grid, rows, columns), maps[1].heights[rows, columns]])
+    places = np.column_stack([*_place(grid, rows, columns), heights[rows, columns]])
     origin = np.floor(places.mean(axis=0)) if len(places) else np.zeros(3)
     colours = _colours(changes.differences, *symmetric(changes), "blue red")[rows, columns]
     scalars = {
