@@ -52,6 +52,15 @@ def test_a_place_that_became_warmer_or_colder(side: int, kelvin: float) -> None:
     assert change.difference == pytest.approx(kelvin, abs=0.3 * abs(kelvin))
 
 
+@pytest.mark.parametrize(("kelvin", "kinds"), [(0.5, []), (1.5, ["warmer"])])
+def test_scenes_that_agree_to_a_tenth_of_their_intervals(kelvin: float, kinds: list[str]) -> None:
+    """What two halves of a flight differ by on a module that reflects is no change: it lies within both intervals."""
+    first, other = shown(houses(), noise=1), shown(houses(), noise=1)
+    other.values[70:90, 20:40] += kelvin
+    found = find_changes(first, other, PIXEL)
+    assert [one.kind for one in found.found] == kinds
+
+
 def test_a_car_that_moved_is_no_warmer_place() -> None:
     """It is one thing with two places; the ground that it warms around it is no change of its own."""
     before, after = houses(), houses() + SHIFT
