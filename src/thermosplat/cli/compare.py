@@ -33,8 +33,8 @@ class CompareArguments:
     output: str = "comparison"
     """Folder for the page, the tables, the maps and the points."""
     gsd: float | None = None
-    """Side of a pixel on the ground, in metres where the captures lie on the Earth, else in world units. None: a
-    1500th of the map's longer side."""
+    """Side of a pixel on the ground, in metres where the captures lie on the Earth, else in world units. None: that
+    of the thermal images, or a 1500th of the map's longer side if that is larger."""
     extent: tuple[float, float, float, float] | None = None
     """West, south, east and north of what is compared. None: what the first capture saw."""
     device: str = "auto"
