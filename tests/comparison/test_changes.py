@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from thermosplat.comparison.changes import find_changes
+from thermosplat.comparison.compare import _said
 from thermosplat.comparison.dated_map import DatedMap
 
 SIZE, PIXEL, SHIFT = 160, 0.05, -6.0
@@ -51,6 +52,15 @@ def test_a_place_that_became_warmer_or_colder(side: int, kelvin: float) -> None:
     assert change.difference == pytest.approx(kelvin, abs=0.3 * abs(kelvin))
 
 
+@pytest.mark.parametrize(("kelvin", "kinds"), [(0.5, []), (1.5, ["warmer"])])
+def test_scenes_that_agree_to_a_tenth_of_their_intervals(kelvin: float, kinds: list[str]) -> None:
+    """What two halves of a flight differ by on a module that reflects is no change: it lies within both intervals."""
+    first, other = shown(houses(), noise=1), shown(houses(), noise=1)
+    other.values[70:90, 20:40] += kelvin
+    found = find_changes(first, other, PIXEL)
+    assert [one.kind for one in found.found] == kinds
+
+
 def test_a_car_that_moved_is_no_warmer_place() -> None:
     """It is one thing with two places; the ground that it warms around it is no change of its own."""
     before, after = houses(), houses() + SHIFT
@@ -80,6 +90,17 @@ def test_heights_without_anything_to_see_are_unsure() -> None:
     heights = np.zeros((SIZE, SIZE))
     heights[30:60, 100:130] = 3.0
     assert not find_changes(shown(houses(), noise=1), shown(houses(), heights, noise=2), PIXEL).found
+
+
+def test_another_season() -> None:
+    """Where a third of the ground is hidden by leaves, that is said beside what was found."""
+    heights, leaves = np.zeros((SIZE, SIZE)), houses()
+    heights[:, : SIZE // 3] = 3.0
+    leaves[:, : SIZE // 3] = 5.0 + 3.0 * (np.arange(SIZE) // 8 % 2)[:, None]
+    found = find_changes(shown(houses(), noise=1), shown(leaves, heights, noise=2), PIXEL)
+    assert "% of the surface has another height: leaves or snow" in _said("july", "march", found, "celsius")
+    same = find_changes(shown(houses(), noise=1), shown(houses(), noise=2), PIXEL)
+    assert "leaves" not in _said("july", "march", same, "celsius")
 
 
 def test_dates_that_show_nothing_in_common() -> None:

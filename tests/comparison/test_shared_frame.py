@@ -54,4 +54,5 @@ def test_a_map_of_a_scene_inside_another() -> None:
     inner, outer = MapFrame(TURN, 2.0, np.array([1.0, 2.0, 3.0])), MapFrame(TURN.T, 0.5, np.array([9.0, 8.0, 7.0]))
     points = np.random.default_rng(2).normal(size=(10, 3))
     assert np.allclose(outer.of(inner).to_map(points), outer.to_map(inner.to_map(points)))
+    assert np.allclose(inner.inverse.to_map(inner.to_map(points)), points)
     assert np.allclose(outer.of(MapFrame(TURN)).to_map(points), outer.to_map(MapFrame(TURN).to_map(points)))

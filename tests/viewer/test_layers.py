@@ -8,7 +8,8 @@ import torch
 
 from thermosplat.evaluation.held_out import rendered_views
 from thermosplat.pictures.image_display import rgb_bytes
-from thermosplat.viewer.layers import FeatureColors, Layer, LayerRenderer, available_layers
+from thermosplat.viewer.feature_colors import FeatureColors
+from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from toy_scene import toy_capture, toy_config, toy_model
 from viewed_toy import viewed_toy
 

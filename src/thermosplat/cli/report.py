@@ -28,6 +28,7 @@ class ReportArguments(TemperatureSettings, RunOnCaptureArguments):
       thermosplat-report results/roof
       thermosplat-report results/roof --language de --delta 5 --emissivity 0.93
       thermosplat-report results/roof --colder --reference R1
+      thermosplat-report results/june --compare comparison
     """
 
     language: Literal["en", "de"] = "en"
@@ -40,6 +41,8 @@ class ReportArguments(TemperatureSettings, RunOnCaptureArguments):
     """Look for what is colder than the reference."""
     reference: str | None = None
     """Name of a measurement, such as R1, whose mean is the reference. None: the median of the surroundings."""
+    compare: str | None = None
+    """Folder of thermosplat-compare: the report lists what changed since its first date. None: it does not."""
     output: str | None = None
     """Folder for report.html and report.pdf. None: RUN/report."""
 
@@ -68,6 +71,7 @@ def _report(arguments: ReportArguments) -> int:
         from thermosplat.reporting.texts import Words
         from thermosplat.runs.atomic_writes import write_bytes, write_text
         from thermosplat.spectra import CELSIUS
+        from thermosplat.thermography.comparison_file import read_comparison
         from thermosplat.thermography.measurement_book import Pages
         from thermosplat.thermography.measurements_file import FOLDER, MEASUREMENTS, read_book
         from thermosplat.viewer.layers import LayerRenderer
@@ -79,6 +83,10 @@ def _report(arguments: ReportArguments) -> int:
     if "pdf" in arguments.format:
         pdf_library()  # to say that it is missing before anything is rendered
     run = Path(os.path.expanduser(arguments.run))
+    compared = None
+    if arguments.compare is not None:
+        comparison = read_comparison(Path(os.path.expanduser(arguments.compare)))
+        compared = comparison, comparison.of(run)
     kept = run / FOLDER / MEASUREMENTS
     pages, definitions = read_book(kept) if kept.is_file() else (Pages(), [])
     own: dict[str, Any] = dict(pages.settings)
@@ -130,6 +138,7 @@ def _report(arguments: ReportArguments) -> int:
         metres=metres,
         colder=arguments.colder,
         reference_name=arguments.reference,
+        compared=compared,
     )
     blocks = blocks_of(report)
     output = folder.parent / REPORT_FOLDER if arguments.output is None else Path(os.path.expanduser(arguments.output))

@@ -26,6 +26,7 @@ class ViewArguments(TemperatureSettings):
       thermosplat-view results/shed/thermosplat_plus
       thermosplat-view results/shed/thermosplat_plus/ckpts/step_006000.pt
       thermosplat-view splat.ply
+      thermosplat-view results/june --compare comparison
     """
 
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|CHECKPOINT|PLY")]
@@ -36,6 +37,8 @@ class ViewArguments(TemperatureSettings):
     """Folder of the capture, if it has moved since the training."""
     device: str = "auto"
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
+    compare: str | None = None
+    """Folder of thermosplat-compare: the earlier date, and what changed since then, are layers beside the run's."""
     query: str | None = None
     """File (.npy) with a vector that features are compared with: a layer of the viewer shows where they are alike."""
     out: str | None = None
@@ -84,6 +87,7 @@ def _view(arguments: ViewArguments, unfinished: list[str]) -> int:
             settings=arguments.checked(),
             scale_of=known_scale,
             query=arguments.query,
+            compare=arguments.compare,
         )
     for note in notes:
         print(note)

@@ -4,7 +4,8 @@ Differences are taken after the common shift, which the weather makes, and only 
 the other date shows within a pixel: edges that are a pixel aside are no change. What pixels differ by that did not
 change tells how wide intervals of a difference are: those of both dates are multiplied by one factor, by which 95% of
 the differences of a normal distribution with the same median would lie inside. A change is a connected place beyond
-its intervals that is far beyond them somewhere.
+its intervals that is far beyond them somewhere, and beyond the intervals of both dates as their own images gave them:
+scenes of one date may agree to a tenth of those, and differ by more on what reflects and at what few images saw.
 
 Where heights differ, a thing is gone or new, and its temperature is no change of a temperature. One that is gone here
 and one that is new elsewhere, of about the same size and height, have moved.
@@ -74,6 +75,8 @@ class Changes:
 
     shift: float
     """Common difference of values, other date minus first, in their unit."""
+    shift_uncertainty: float
+    """Half of its 95% interval: it holds what the levels of both cameras did."""
     differences: Array
     """Other minus first minus the shift, [H, W]; NaN where a date shows nothing, or where a thing is gone or new."""
     uncertainties: Array
@@ -105,7 +108,7 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
     uncertainties = np.where(known, factor * intervals, np.nan)
     left = _beyond(first.values, other.values - shift)
     beyond = still & (np.abs(left) > uncertainties)
-    core = beyond & (np.abs(left) > _CORE * uncertainties)
+    core = beyond & (np.abs(left) > np.maximum(_CORE * uncertainties, intervals))
     differences = np.where(still, difference - shift, np.nan)
     changed: list[Change] = []
     for sign, kind in ((1, "warmer"), (-1, "colder")):
@@ -120,7 +123,8 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
     )
     found = sorted([*changed, *moved], key=lambda one: -int(one.mask.sum()))
     share = float(things.sum() / max(known.sum(), 1))
-    return Changes(shift, differences, uncertainties, tuple(found), share)
+    drift = _NORMAL * float(np.hypot(first.drift, other.drift))
+    return Changes(shift, drift, differences, uncertainties, tuple(found), share)
 
 
 def _things(first: Array, other: Array, pixel: float) -> tuple[NDArray[np.bool_], Array]:

@@ -47,6 +47,10 @@ class DatedMap:
     photographs."""
     photograph: NDArray[np.float32] | None
     """Colours in [0, 1], [H, W, 3]; None where the run has none."""
+    surface: Array | None = None
+    """Heights, and those of the photographs' surface where that of the spectrum is not known; None: ``heights``."""
+    drift: float = 0.0
+    """Standard deviation of the level of its thermal images, which their camera sets."""
 
 
 @torch.no_grad()
@@ -66,7 +70,7 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
     own, run = replace(grid, frame=grid.frame.of(date.to_first)), date.run
     certainty, scale = run.certainties(date.capture)[spectrum], run.scales[spectrum]
     leading = photographs or spectrum
-    values, half_widths, heights = (np.full((grid.height, grid.width), np.nan, np.float32) for _ in range(3))
+    values, half_widths, heights, surface = (np.full((grid.height, grid.width), np.nan, np.float32) for _ in range(4))
     seen = np.full((grid.height, grid.width, 3), np.nan, np.float32)
     for part, *place in _parts(own):
         at, view = tuple(place), part.view(0, 0, part.width, part.height, run.device)
@@ -76,6 +80,9 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
         there = rendered.covered().cpu().numpy()
         shown = scale.value(pixel_intensity(rendered.images[spectrum].clamp(0, 1), scale)).cpu().numpy()
         heights[at] = np.where(solid & (depth > 0), part.top - depth * own.frame.scale, np.nan)
+        below = run.model.render_depth(leading, view).cpu().numpy()
+        photographed = np.where(below > 0, part.top - below * own.frame.scale, np.nan)
+        surface[at] = np.where(np.isfinite(heights[at]), heights[at], photographed)
         if there.any():
             sure = certainty.of_view(view, np.where(there, shown, np.nan))
             read = there & (sure.doubts & (FEW_VIEWS | NO_SURFACE) == 0)
@@ -84,7 +91,8 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
         if photographs is not None:
             colours = rendered.images[leading].clamp(0, 1).cpu().numpy()
             seen[at] = np.where(there[..., None], colours, np.nan)
-    return DatedMap(values, half_widths, heights, seen if photographs is not None else None)
+    drift, shown = certainty.calibration.drift, None if photographs is None else seen
+    return DatedMap(values, half_widths, heights, shown, surface, drift)
 
 
 def _parts(grid: MapGrid) -> Iterator[tuple[MapGrid, slice, slice]]:

@@ -1,4 +1,4 @@
-"""What a comparison leaves: a page, tables, pictures, a GeoTIFF and points of the differences.
+"""What a comparison leaves: a page, tables, pictures, a GeoTIFF and a mesh of the differences.
 
 The page needs no script: its pictures of two dates lie on one another, and the upper one is drawn aside by its corner.
 """
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,7 @@ from thermosplat.pictures.display_palettes import display_palette
 from thermosplat.pictures.image_display import Image8, rgb_bytes, write_png
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.spectra import unit_label
+from thermosplat.thermography.comparison_file import COMPARISON_FILE, PICTURED, change_picture, plan_picture
 
 _POLICY = "default-src 'none'; img-src 'self' file:; style-src 'unsafe-inline'"
 _STYLE = """
@@ -38,8 +40,6 @@ th:first-child, td:first-child { text-align: left; } img { max-width: 100%; }
 _AROUND = 40
 """Pixels around a change in its picture."""
 _LARGEST_CROP = 900
-_SHOWN = 60
-"""Changes with pictures."""
 _SPAN = (1.0, 99.0)
 """Percentiles of values at the ends of the palette."""
 
@@ -47,7 +47,7 @@ _SPAN = (1.0, 99.0)
 def write_difference(
     folder: Path, grid: MapGrid, maps: tuple[DatedMap, DatedMap], changes: Changes, unit: str, name: str
 ) -> list[Path]:
-    """Write the difference of a date as GeoTIFF and as points.
+    """Write the difference of a date as GeoTIFF, and as a mesh whose vertices are the points of its pixels.
 
     Args:
         folder: Where.
@@ -70,17 +70,28 @@ def write_difference(
         unit=unit,
         tags={"SOFTWARE": "thermosplat", "FRAME": grid.frame.note, "SHIFT": f"{changes.shift:.3f}"},
     )
-    rows, columns = np.nonzero(np.isfinite(changes.differences))
-    places = np.column_stack([*_place(grid, rows, columns), maps[1].heights[rows, columns]])
+    heights = maps[1].heights if maps[1].surface is None else maps[1].surface
+    there = np.isfinite(changes.differences) & np.isfinite(heights)
+    rows, columns = np.nonzero(there)
+    places = np.column_stack([*_place(grid, rows, columns), heights[rows, columns]])
     origin = np.floor(places.mean(axis=0)) if len(places) else np.zeros(3)
-    colours = _colours(changes.differences, *_symmetric(changes), "blue red")[rows, columns]
+    colours = _colours(changes.differences, *symmetric(changes), "blue red")[rows, columns]
     scalars = {
         "scalar_difference": changes.differences[rows, columns].astype(np.float32),
         "scalar_plus_minus": changes.uncertainties[rows, columns].astype(np.float32),
     }
     comment = f"origin {' '.join(map(repr, origin.tolist()))}: to be added to positions"
-    write_points(ply, (places - origin).astype(np.float32), colours, scalars, [comment])
+    write_points(ply, (places - origin).astype(np.float32), colours, scalars, [comment], faces=_faces(there))
     return [tif, ply]
+
+
+def _faces(there: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Two triangles between four neighbouring pixels that are there, of the pixels that are, [F, 3]."""
+    number = np.cumsum(there).reshape(there.shape) - 1
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    all_there = there[:-1, :-1] & there[:-1, 1:] & there[1:, :-1] & there[1:, 1:]
+    halves = [np.stack(corners, axis=-1)[all_there] for corners in ((a, c, b), (b, c, d))]
+    return np.concatenate(halves).astype(np.int32)
 
 
 def entries(changes: Changes, grid: MapGrid) -> list[dict[str, Any]]:
@@ -130,7 +141,7 @@ def write_tables(folder: Path, content: dict[str, Any], rows: Sequence[Row], dat
     )
     write_text(folder / "changes.csv", table.getvalue())
     write_text(folder / "over_time.csv", times.getvalue())
-    write_text(folder / "changes.json", json.dumps(content, indent=1) + "\n")
+    write_text(folder / COMPARISON_FILE, json.dumps(content, indent=1) + "\n")
 
 
 def write_page(
@@ -158,21 +169,21 @@ def write_page(
         write_png(pictures / f"date_{number}.png", _colours(one.values, low, high, "iron"))
     parts = [f"<p>{html.escape(line)}</p>" for line in content["sentences"]]
     for later, (found, stated) in enumerate(zip(changes, content["dates"]), 1):
-        spread = _symmetric(found)
-        write_png(pictures / f"difference_{later}.png", _colours(found.differences, *spread, "blue red"))
+        spread = symmetric(found)
+        write_png(folder / plan_picture(later), _plan(found, spread))
         parts.append(
             f"<h2>{html.escape(stated['name'])}</h2>"
             f"<p>{html.escape(stated['said'])} Drag the corner of the picture.</p>"
             f'<div class="wipe"><img src="pictures/date_{later}.png" alt="later"><div>'
             '<img src="pictures/date_0.png" alt="first"></div></div>'
             f"<p>Difference, blue {spread[0]:.1f} to red {spread[1]:+.1f}:</p>"
-            f'<img src="pictures/difference_{later}.png" alt="">'
+            f'<img src="{plan_picture(later)}" alt="differences">'
         )
         parts.append(_table(stated["changes"], content["unit"], content["length_unit"]))
-        for number, change in enumerate(found.found[:_SHOWN], 1):
-            name = f"change_{later}_{number:03}.png"
-            write_png(pictures / name, _both(change, maps[0], maps[later], (low, high)))
-            parts.append(f'<h3>{number}, {change.kind}</h3><img src="pictures/{name}" alt="">')
+        for number, change in enumerate(found.found[:PICTURED], 1):
+            name = change_picture(later, number)
+            write_png(folder / name, _both(change, maps[0], maps[later], (low, high)))
+            parts.append(f'<h3>{number}, {change.kind}</h3><img src="{name}" alt="">')
     if rows:
         head = "".join(f"<th>{html.escape(date.name)}</th>" for date in dates)
         lines = "".join(
@@ -191,6 +202,17 @@ def write_page(
     )
     write_text(folder / "index.html", page)
     return folder / "index.html"
+
+
+def _plan(changes: Changes, spread: tuple[float, float]) -> Image8:
+    """The differences from above, with the changes outlined and numbered."""
+    picture = np.ascontiguousarray(_colours(changes.differences, *spread, "blue red"))
+    for number, one in enumerate(changes.found, 1):
+        contours, _ = cv2.findContours(one.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, contours, -1, (0, 0, 0), 1)
+        row, column = one.middle
+        cv2.putText(picture, str(number), (column + 6, row - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 2)
+    return picture
 
 
 def _table(stated: list[dict[str, Any]], unit: str, length: str) -> str:
@@ -221,7 +243,8 @@ def _both(change: Change, first: DatedMap, other: DatedMap, span: tuple[float, f
     return np.concatenate(lines, axis=0)
 
 
-def _symmetric(changes: Changes) -> tuple[float, float]:
+def symmetric(changes: Changes) -> tuple[float, float]:
+    """Differences at the ends of the palette."""
     known = np.abs(changes.differences[np.isfinite(changes.differences)])
     most = float(np.percentile(known, _SPAN[1])) if len(known) else 1.0
     return -max(most, 1e-6), max(most, 1e-6)

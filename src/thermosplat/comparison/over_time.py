@@ -26,20 +26,28 @@ class Row:
 
 
 def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence[Changes]) -> list[Row]:
-    """One row for each change of a temperature, then one for each measurement.
+    """One row for each place whose temperature changed, then one for each measurement.
+
+    A place that changed at several dates has one row, under its first name.
 
     Args:
         dates: The dates.
         maps: What they show on the grid.
         changes: Of each later date against the first.
     """
-    rows = []
+    rows, places = [], list[NDArray[np.bool_]]()
     for date, found in zip(dates[1:], changes):
         for number, change in enumerate(found.found, 1):
-            if change.kind in ("warmer", "colder"):
+            if change.kind in ("warmer", "colder") and not any(_same_place(change.mask, one) for one in places):
                 means = tuple(_mean(one.values, change.mask) for one in maps)
                 rows.append(Row(f"{date.name} {number}, {change.kind}", means))
+                places.append(change.mask)
     return [*rows, *_measurements(dates)]
+
+
+def _same_place(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
+    """Whether two places overlap by half or more of what either covers."""
+    return bool(2 * (one & other).sum() >= (one | other).sum())
 
 
 def _mean(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> float | None:
@@ -71,9 +79,5 @@ def _viewed(date: Date) -> ViewedScene:
 def _moved(definition: Definition, first: Date, other: Date) -> Definition:
     """A definition whose standpoint is in the world of another date."""
     view = first.run.model.placement.viewmat_to_scene(definition.standpoint.viewmat)
-    there = np.eye(4)
-    offset = np.zeros(3) if other.to_first.offset is None else other.to_first.offset
-    there[:3, :3] = view[:3, :3] @ other.to_first.rotation
-    there[:3, 3] = (view[:3, :3] @ offset + view[:3, 3]) / other.to_first.scale
-    world = other.run.model.placement.viewmat_to_world(there)
+    world = other.run.model.placement.viewmat_to_world(other.to_first.viewmat_to_scene(view))
     return replace(definition, standpoint=replace(definition.standpoint, viewmat=world))

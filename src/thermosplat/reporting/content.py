@@ -9,11 +9,13 @@ import numpy as np
 
 from thermosplat.datasets.capture import Capture
 from thermosplat.reporting.blocks import Block, Facts, Heading, Paragraph, Picture, Table
+from thermosplat.reporting.changes import changes_since
 from thermosplat.reporting.drawings import in_all_spectra, map_frame, plan
 from thermosplat.reporting.findings import Finding, Found, normalised
 from thermosplat.reporting.report_file import Entry, ReportFile
 from thermosplat.reporting.texts import FORM, Words
 from thermosplat.spectra import CELSIUS, label, unit_label
+from thermosplat.thermography.comparison_file import KnownComparison, LaterDate
 from thermosplat.thermography.measurement_book import Pages
 from thermosplat.viewer.measuring import Measurer
 
@@ -43,6 +45,8 @@ class Report:
     colder: bool
     reference_name: str | None
     """The measurement that is the reference; None: the surroundings."""
+    compared: tuple[KnownComparison, LaterDate] | None = None
+    """What the run was compared with; None: nothing."""
 
     @property
     def unit(self) -> str:
@@ -70,7 +74,7 @@ class Report:
 
 def blocks_of(report: Report) -> list[Block]:
     """The report from its first page to its last."""
-    parts = (_first_page, _plan, _findings, _things, _measurements, _photovoltaics, _form)
+    parts = (_first_page, _plan, _findings, _things, _changes, _measurements, _photovoltaics, _form)
     return [block for part in parts for block in part(report)]
 
 
@@ -177,6 +181,11 @@ def _things(report: Report) -> Iterator[Block]:
     extreme = words["minimum" if report.colder else "maximum"]
     rows = [(words.place(one.region.place, 2), *_numbers(report, one)) for one in things]
     yield Table([words["place"], extreme, words["mean"], _delta(report), words["area"]], rows)
+
+
+def _changes(report: Report) -> Iterator[Block]:
+    if report.compared is not None:
+        yield from changes_since(*report.compared, report.words)
 
 
 def _numbers(report: Report, one: Finding) -> tuple[str, ...]:

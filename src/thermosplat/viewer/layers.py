@@ -25,11 +25,14 @@ from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import Palette, PixelScale
 from thermosplat.thermography.certainty import DOUBTS, Sure
 from thermosplat.thermography.scene_temperatures import SceneTemperatures, Surroundings, Values
+from thermosplat.viewer.feature_colors import FeatureColors
 from thermosplat.viewer.photographs import Photographs
 from thermosplat.viewer.viewed_scene import ViewedScene
 
 _LABELS = {
     "image": "{}",
+    "before": "before, {}",
+    "change": "change, {}",
     "depth": "depth, {}",
     "opacity": "opacity, {}",
     "offset": "opacity offset, {}",
@@ -38,10 +41,10 @@ _LABELS = {
     "error": "error, {}",
     "photograph": "photograph, {}",
 }
-_OTHERS = ("depth", "offset", "doubt", "photograph")
+_OTHERS = ("depth", "offset", "doubt", "photograph", "before")
 """Layers that a render of the spectrum's image does not have."""
-_SPREAD = 3.0
-"""Standard deviations of the features' principal components from black to full colour, to either side."""
+_SAME_PLACE = 0.03
+"""Share by which the depths of two dates may differ: a car that stands 1.4 m high is 5% of a flight at 30 m."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,9 @@ def available_layers(scene: ViewedScene) -> list[Layer]:
     """The layers that a scene has, images first."""
     model, spectra = scene.model, list(scene.model.spectra)
     layers = [Layer("image", name) for name in spectra]
+    if scene.earlier is not None:
+        layers += [Layer("change", scene.earlier.spectrum)]
+        layers += [Layer("before", name) for name in spectra if name in scene.earlier.scene.scales]
     layers += [Layer("depth", name) for name in spectra]
     layers += [Layer("opacity", name) for name in spectra]
     for name in spectra:
@@ -152,6 +158,10 @@ class LayerRenderer:
         if layer.kind == "image":
             span = self.scene.display_ranges.get(name)
             return image_layer(layer, rendered.images[name], scale, values=values, temperatures=shown, shown=span)
+        if layer.kind == "before":
+            return self._before(name, view, values)
+        if layer.kind == "change":
+            return self._change(name, view, rendered)
         if layer.kind == "depth":
             model = self.scene.model
             depth = model.placement.unit * model.render_depth(name, view)
@@ -186,6 +196,33 @@ class LayerRenderer:
             span = self.scene.display_ranges.get(name)
             return image_layer(layer, taken, scale, values=values, valid=valid, temperatures=shown, shown=span)
         return self._error(layer, rendered.images[name].clamp(0, 1), photograph.image, scale, shown)
+
+    def _before(self, name: str, view: ViewTensors, values: bool = True) -> LayerImage:
+        """The image of the earlier date, not recalculated."""
+        earlier = self.scene.earlier
+        assert earlier is not None  # noqa: S101  there is such a layer
+        then, scene = earlier.view(view), earlier.scene
+        image = scene.model.render({name: then}, sh_degree=scene.sh_degree).images[name]
+        span = self.scene.display_ranges.get(name)
+        return image_layer(Layer("before", name), image, scene.scales[name], values=values, shown=span)
+
+    def _change(self, name: str, view: ViewTensors, rendered: RenderedFrame) -> LayerImage:
+        """What became warmer or colder beyond what everything did; nothing where no spectrum has the same depth, as a
+        thing is gone or new there."""
+        layer, earlier = Layer("change", name), self.scene.earlier
+        assert earlier is not None  # noqa: S101  there is such a layer
+        now = image_layer(layer, rendered.images[name], self.scene.scales[name], values=True)
+        before = self._before(name, view)
+        same = torch.zeros(view.height, view.width, dtype=torch.bool, device=view.viewmat.device)
+        for spectrum in filter(earlier.scene.scales.__contains__, self.scene.model.spectra):
+            depth = self.scene.model.render_depth(spectrum, view)
+            then = earlier.to_later.scale * earlier.scene.model.render_depth(spectrum, earlier.view(view))
+            same |= (depth > 0) & (then > 0) & ((depth - then).abs() < _SAME_PLACE * depth)
+        assert now.field is not None  # noqa: S101  of a spectrum of values
+        assert before.field is not None  # noqa: S101
+        field = np.where(same.cpu().numpy(), now.field - before.field - earlier.shift, np.nan).astype(np.float32)
+        ends = (-earlier.span, earlier.span)
+        return LayerImage(layer, field, None, display_palette("blue red"), ends, now.unit, "change", now.decimals)
 
     def _error(
         self, layer: Layer, image: Tensor, photograph: Tensor, scale: PixelScale, shown: "_Temperatures"
@@ -233,7 +270,7 @@ class LayerRenderer:
         return None if field is None else certainty.of_view(view, field)
 
     @cached_property
-    def features_basis(self) -> "FeatureColors":
+    def features_basis(self) -> FeatureColors:
         """What colours features have; chosen when it is first asked for, and held from then on."""
         gaussians = self.scene.model.gaussians(SHARED)
         return FeatureColors.of(gaussians.expanded(gaussians.features), gaussians.largest_opacities)
@@ -301,32 +338,3 @@ def image_layer(
 def _bytes(colors: Tensor) -> Image8:
     """Colours in [0, 1], shape [H, W, 3], as ``rgb_bytes`` has them: a quarter of the bytes leaves the device."""
     return (colors * 255.0).round().to(torch.uint8).cpu().numpy()
-
-
-@dataclass(frozen=True)
-class FeatureColors:
-    """Three principal components of the Gaussians' features as red, green and blue."""
-
-    mean: Tensor
-    """[d]."""
-    components: Tensor
-    """Directions, each divided by the standard deviation along it, [d, 3]."""
-
-    @classmethod
-    def of(cls, features: Tensor, weights: Tensor) -> "FeatureColors":
-        """The components of features [N, d], each of which counts by its weight [N]."""
-        share = (weights / weights.sum().clamp(min=1e-12))[:, None]
-        mean = (share * features).sum(dim=0)
-        centred = features - mean
-        values, vectors = torch.linalg.eigh((share * centred).T @ centred)  # rising
-        chosen = vectors[:, -3:].flip(-1)
-        chosen = chosen * torch.where(chosen.sum(dim=0) < 0, -1.0, 1.0)  # either sign is as good: one that stays
-        scaled = chosen / values[-3:].flip(-1).clamp(min=1e-12).sqrt()
-        padded = torch.zeros(features.shape[1], 3, device=features.device, dtype=features.dtype)
-        padded[:, : scaled.shape[1]] = scaled
-        return cls(mean, padded)
-
-    def colors(self, blended: Tensor, alpha: Tensor) -> Tensor:
-        """Colours [H, W, 3] of features [H, W, d] that were blended to opacities [H, W, 1]; black where nothing is."""
-        there = blended / alpha.clamp(min=1e-3)
-        return (0.5 + (there - self.mean) @ self.components / (2 * _SPREAD)).clamp(0, 1) * alpha

@@ -1,5 +1,6 @@
 """From what a user names to a scene: a run, a checkpoint or a PLY file."""
 
+import contextlib
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -11,12 +12,14 @@ from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.capture import Capture
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import LoadedRun, load_run, load_run_of_checkpoint
+from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.regular_files import read_regular
 from thermosplat.runs.devices import choose_device
 from thermosplat.spectra import CELSIUS
+from thermosplat.thermography.comparison_file import read_comparison
 from thermosplat.thermography.measurements_file import FOLDER
 from thermosplat.viewer.splat_file import open_splats
-from thermosplat.viewer.viewed_scene import ViewedScene
+from thermosplat.viewer.viewed_scene import EarlierDate, ViewedScene
 
 OTHER_FORMATS = (".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
 """Endings of Gaussians' other files."""
@@ -31,6 +34,7 @@ def open_scene(
     settings: TemperatureSettings | None = None,
     scale_of: Callable[[Capture | None], float | None] = lambda capture: None,
     query: str | None = None,
+    compare: str | None = None,
 ) -> tuple[ViewedScene, Path, list[str]]:
     """What a user wants to look at.
 
@@ -42,6 +46,7 @@ def open_scene(
         settings: What temperatures are recalculated with at first.
         scale_of: Length of a world unit of a capture [m], where it is known.
         query: File (.npy) with a vector that features are compared with.
+        compare: Folder of thermosplat-compare, whose first date is shown beside the run.
 
     Returns:
         The scene; the folder for measurements; lines to tell the user.
@@ -52,6 +57,8 @@ def open_scene(
     path = Path(named).expanduser()
     settings = settings or TemperatureSettings()
     if path.suffix.lower() == ".ply":
+        if compare is not None:
+            raise UserError(f"{path} is no run, and --compare shows a run beside an earlier one.", "Give the run.")
         if settings.any_given or query is not None:
             what = "no features that --query could be compared with" if query else "no temperature to be recalculated"
             raise UserError(f"{path} has colours alone, {what}.", "Give the run.")
@@ -78,7 +85,22 @@ def open_scene(
     title = f"{name}, step {run.step:,}"
     sure = {} if capture is None else run.certainties(capture)
     scene = ViewedScene(title, run.model, run.sh_degree, scales, run.device, capture, temperatures, sure)
+    if compare is not None:
+        scene.earlier = _earlier(Path(compare).expanduser(), run, device)
     return scene, run.directory.path / FOLDER, [*run.notes, *more]
+
+
+def _earlier(folder: Path, run: LoadedRun, device: str) -> EarlierDate:
+    """The first date of a comparison beside a run."""
+    known = read_comparison(folder)
+    date, first = known.of(run.directory.path), load_run(str(known.run), device=device)
+    if not all(known.spectrum in one.scales for one in (run, first)):
+        raise UserError(f"{folder} compares {known.spectrum}, which the runs do not have.", "Compare them again.")
+    scene = ViewedScene(known.first, first.model, first.sh_degree, dict(first.scales), first.device)
+    with contextlib.suppress(UserError):  # the capture only says between which values pictures are coloured
+        scene.capture = first.capture(None)
+    frame = MapFrame.of_similarity(date.to_first).inverse
+    return EarlierDate(scene, frame, known.spectrum, date.shift, date.span)
 
 
 def _ask(run: LoadedRun, path: Path) -> None:

@@ -111,7 +111,7 @@ class ViewSession:
     # ---- what is seen ------------------------------------------------------------------------------------------------
 
     def display(self, layer: Layer) -> Display:
-        """How a layer is shown; a photograph as the image of its spectrum."""
+        """How a layer is shown; a photograph and an earlier date as the image of their spectrum."""
         return self.displays.get(_key(layer), Display())
 
     def set_display(self, layer: Layer, **changes: Any) -> None:
@@ -362,7 +362,8 @@ def start_wish(layers: Sequence[Layer], measured: Collection[str] = ()) -> Wish:
     """
     images = [layer for layer in layers if layer.kind == "image"] or list(layers[:1])
     first = next((layer for layer in images if layer.spectrum in measured), images[0])
-    return Wish(first, next((layer for layer in images if layer != first), first))
+    before = [layer for layer in layers if layer == Layer("before", first.spectrum)]
+    return Wish(first, next((layer for layer in (*before, *images) if layer != first), first))
 
 
 def layer_labels(layers: Sequence[Layer]) -> dict[str, Layer]:
@@ -371,7 +372,7 @@ def layer_labels(layers: Sequence[Layer]) -> dict[str, Layer]:
 
 
 def _key(layer: Layer) -> tuple[str, str]:
-    return ("image" if layer.kind == "photograph" else layer.kind), layer.spectrum
+    return ("image" if layer.kind in ("photograph", "before") else layer.kind), layer.spectrum
 
 
 def _same_view(one: Bookmark, other: Bookmark) -> bool:

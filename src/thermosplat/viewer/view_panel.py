@@ -54,7 +54,7 @@ class ViewPanel:
 
     def _has_values(self, layer: Layer) -> bool:
         has_palette = self.visitor.scene.scales[layer.spectrum].has_intensity
-        return layer.kind != "features" and (layer.kind not in ("image", "photograph") or has_palette)
+        return layer.kind != "features" and (layer.kind not in ("image", "photograph", "before") or has_palette)
 
     def show_share(self, share: float) -> None:
         """Show a share that was set elsewhere."""

@@ -1,7 +1,7 @@
 """What a viewer shows: a model with the meaning of its pixel values, and the photographs that it was made from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors
+from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.novel_views.bookmarks import Bookmark, fov_camera
 from thermosplat.novel_views.camera_paths import focus_point, look_to
 from thermosplat.scene.model import SceneModel
@@ -44,12 +45,19 @@ class ViewedScene:
 
     certainties: Mapping[str, Certainty] = field(default_factory=dict)
     """How sure the values of a spectrum are, by its name."""
+    earlier: "EarlierDate | None" = None
+    """The scene at an earlier date; None: there is nothing to compare with."""
 
     @cached_property
     def display_ranges(self) -> dict[str, tuple[float, float] | None]:
-        """Values at the palettes' ends by spectrum; None of one that keeps its scale's."""
+        """Values at the palettes' ends by spectrum, wide enough for both dates; None of one that keeps its scale's."""
         capture = self.capture
-        return {} if capture is None else {name: display_range(capture, name) for name in self.scales}
+        ranges = {} if capture is None else {name: display_range(capture, name) for name in self.scales}
+        for name, other in ({} if self.earlier is None else self.earlier.scene.display_ranges).items():
+            own = ranges.get(name)
+            if own is not None and other is not None:
+                ranges[name] = min(own[0], other[0]), max(own[1], other[1])
+        return ranges
 
     @property
     def temperatures(self) -> SceneTemperatures:
@@ -123,6 +131,27 @@ class ViewedScene:
             centre = means.median(dim=0).values
             radius = (means - centre).norm(dim=1).median().item()
         return centre.double().cpu().numpy(), radius or 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierDate:
+    """What a scene was at an earlier date, as thermosplat-compare found it."""
+
+    scene: ViewedScene
+    """Then."""
+    to_later: MapFrame
+    """From its scene to the later one."""
+    spectrum: str
+    """Whose values were compared."""
+    shift: float
+    """What all of them changed by."""
+    span: float
+    """Difference at either end of the palette."""
+
+    def view(self, later: ViewTensors) -> ViewTensors:
+        """A camera of the later scene in this one."""
+        viewmat = self.to_later.viewmat_to_scene(later.viewmat.double().cpu().numpy())
+        return replace(later, viewmat=torch.as_tensor(viewmat, dtype=torch.float32, device=later.viewmat.device))
 
 
 def frame_bookmark(frame: Frame, spectrum: str) -> Bookmark:

@@ -54,6 +54,19 @@ class MapFrame:
             centred = centred - self.offset
         return centred @ self.rotation / self.scale
 
+    @property
+    def inverse(self) -> "MapFrame":
+        """From the map to the scene, as if the map were a scene and the scene its map."""
+        return MapFrame(self.rotation.T, 1 / self.scale, self.to_scene(np.zeros(3)))
+
+    def viewmat_to_scene(self, viewmat: NDArray[np.floating]) -> Vector:
+        """A camera of the map as one of the scene, both [4, 4]: the same picture, with depths divided by ``scale``."""
+        there = np.eye(4)
+        offset = np.zeros(3) if self.offset is None else self.offset
+        there[:3, :3] = viewmat[:3, :3] @ self.rotation
+        there[:3, 3] = (viewmat[:3, :3] @ offset + viewmat[:3, 3]) / self.scale
+        return there
+
     def of(self, inner: "MapFrame") -> "MapFrame":
         """The map frame of another scene.
 
