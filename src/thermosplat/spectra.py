@@ -102,8 +102,7 @@ class SpectrumConfig:
     """Weight of the mean absolute gradient of its image. ThermoSplat: λ_sm = 0.3 for thermal."""
     squared: float = 0.0
     """k of |d| + k d² in place of |d| in the loss on its images, in their units (0 to 1): PSNR is of squares, in which
-    large differences count for more. Beyond |d| = 0.1 the loss is the line that touches it there. 0: plain L1. Open
-    choice."""
+    large differences count for more. 0: plain L1. Open choice."""
     swept_depth: float = 0.0
     """Weight of the loss on its depths, the mean difference of log z from those that a plane sweep of its training
     images finds. It counts in steps with images of full size. 0: no sweep. Open choice."""

@@ -4,10 +4,8 @@ One pair has too few tiles for a large GPU, so the channels of all pairs are num
 
 SSIM's window is separable: a tile's x, y, x² + y² and xy are blurred along rows and then along columns (image_tiles),
 which gives the moments of a pixel, and those its losses and their derivatives by the three moments that depend on x.
-To d = |x - y| there may be added k d², and beyond d = SQUARED_TO the line that touches it there, k m (2 d - m) with m =
-min(d, SQUARED_TO): what passes by, and is not in the scene, would outweigh all else. By the way the pass sums the
-squared error of the clamped image, and where it is wanted |∂x| + |∂y|. Borders are reflected (kornia, torchmetrics).
-The adjoint is in image_loss_adjoint.py.
+To |x - y| there may be added k (x - y)². By the way the pass sums the squared error of the clamped image, and where it
+is wanted |∂x| + |∂y|. Borders are reflected (kornia, torchmetrics). The adjoint is in image_loss_adjoint.py.
 """
 
 import warp as wp
@@ -28,10 +26,6 @@ from warp_kernels.machinery.loading import made_once
 
 TERMS = 4
 """Pairs of images that share the pass."""
-
-SQUARED_TO = 0.1
-"""Difference beyond which squares go on as a line. Open choice: three to six times the difference at which the slopes
-of |d| and k d² are the same."""
 
 OPTIONS = {"enable_backward": False, "module": "unique", "grid_stride": False, "launch_bounds": THREADS}
 """Of kernels with a block of threads a tile."""
@@ -118,8 +112,8 @@ FINISH = """
                 const S_ inverse = 1 / (C * D + (S_)EPSILON_), ssim = A * B * inverse;
                 const int at = (first + r + RADIUS_) * PITCH_ + column + RADIUS_;
                 const S_ a = held[0][at], b = held[1][at];
-                const S_ d = wp::abs(a - b), near = wp::min(d, (S_)SQUARED_TO_);
-                loss += (1 - ssim_share) * (d + squared * near * (2 * d - near)) + ssim_share * (1 - ssim);
+                const S_ difference = wp::abs(a - b) + squared * (a - b) * (a - b);
+                loss += (1 - ssim_share) * difference + ssim_share * (1 - ssim);
                 const S_ error = wp::min(wp::max(a, (S_)0), (S_)1) - b;
                 errors += error * error;
                 if (smoothed) {
@@ -205,7 +199,6 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
         SUM,
     )
     numbers = {"C1": c1, "C2": c2, "EPSILON": epsilon, "RADIUS": RADIUS, "PITCH": PITCH, "THREADS": THREADS}
-    numbers["SQUARED_TO"] = SQUARED_TO
 
     @wp.func_native(scalar_source("".join(parts), dtype, **numbers))
     def tile_losses(

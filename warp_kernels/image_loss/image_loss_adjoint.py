@@ -5,7 +5,7 @@ Both blurs are symmetric but for the borders, at which a derivative also counts 
 
 import warp as wp
 
-from warp_kernels.image_loss.image_loss import OPTIONS, SQUARED_TO, plane_functions, scalar_source
+from warp_kernels.image_loss.image_loss import OPTIONS, plane_functions, scalar_source
 from warp_kernels.image_loss.image_tiles import (
     BLURRED_PITCH,
     PITCH,
@@ -35,8 +35,7 @@ FINISH = """
                 const S_* x = (const S_*)of_x + gy * x_row + gx * x_column;
                 const S_ a = fetch(x, 0), b = fetch((const S_*)of_y, gy * y_row + gx * y_column), difference = a - b;
                 const auto sign = [](S_ value) { return (S_)(value > 0) - (S_)(value < 0); };
-                const S_ far = (S_)SQUARED_TO_, near = wp::min(wp::max(difference, -far), far);
-                const S_ slope = sign(difference) + 2 * squared * near;
+                const S_ slope = sign(difference) + 2 * squared * difference;
                 S_ v = scale * (t[0][r] + 2 * a * t[1][r] + b * t[2][r] + (1 - ssim_share) * slope);
                 if (smooth_scale != 0) {
                     S_ turns = 0;
@@ -72,7 +71,7 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
         blur_columns(dtype, 3, FINISH, mirrored(3, "y0 + first", "height", BLURRED, column)),
     )
 
-    @wp.func_native(scalar_source("".join(parts), dtype, SQUARED_TO=SQUARED_TO))
+    @wp.func_native(scalar_source("".join(parts), dtype))
     def tile_adjoint(
         thread: int,
         c: int,

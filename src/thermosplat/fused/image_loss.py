@@ -11,7 +11,6 @@ from torch.autograd.function import once_differentiable
 from thermosplat.image_quality.ssim import C1, C2, EPSILON, SSIM_SIGMA
 from thermosplat.torch_bridge.arrays import SCALARS, strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.image_loss.image_loss import SQUARED_TO as SQUARED_TO
 from warp_kernels.image_loss.image_loss import TERMS
 from warp_kernels.image_loss.image_loss_step import (
     ImageLossSettings,
@@ -33,7 +32,7 @@ class ImageTerm:
         image: [H, W, X], H and W > 5.
         target: Ground truth in [0, 1], [H, W, C].
         first: The channels from this one on, C of them, are compared.
-        squared: k of |d| + k d² in place of |d|, which becomes a line beyond ``SQUARED_TO``.
+        squared: k of |d| + k d² in place of |d|.
     """
 
     name: str

@@ -14,7 +14,7 @@ from kornia.losses import total_variation
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
-from thermosplat.fused.image_loss import SQUARED_TO, ImageTerm, warp_image_loss, warp_image_losses
+from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
 from thermosplat.image_quality.ssim import ssim_map
 from thermosplat.scene.formations.formation import LossTerm, masked
 from thermosplat.scene.formations.formation import image_terms as terms_of_image
@@ -216,9 +216,7 @@ def _filtered(terms: Sequence[ImageTerm], ssim_lambda: float) -> dict[str, Tenso
     losses = _unweighted(terms, ssim_lambda)
     for term in terms:
         if term.squared > 0:
-            difference = (term.render - term.target).abs()
-            near = difference.clamp(max=SQUARED_TO)
-            squares = (near * (2 * difference - near)).mean()
+            squares = (term.render - term.target).square().mean()
             losses[term.name] = losses[term.name] + (1 - ssim_lambda) * term.squared * squares
     return {term.name: term.weight * losses[term.name] for term in terms}
 
