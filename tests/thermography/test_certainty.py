@@ -9,8 +9,9 @@ import torch
 
 from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.thermography.calibration import Calibration, calibration, read_calibration
-from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, Certainty, _noise
+from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, Certainty
 from thermosplat.thermography.measurements import Measurement
+from thermosplat.thermography.picture_structure import noise_of
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.session import Wish
 from viewed_toy import toy_session, viewed_toy
@@ -71,7 +72,7 @@ def test_images_tell_whether_spectra_see_different_surfaces(
     other_depth = torch.where(torch.arange(80) < 24, theirs, 1.0).expand(60, 80).contiguous()
     times = {("rgb", 1.0): other_at_thermal, ("thermal", theirs): thermal_at_other}
 
-    def images(spectrum: str, index: int, _: object, at: torch.Tensor) -> torch.Tensor:
+    def images(spectrum: str, index: int, _: object, at: torch.Tensor, deep: str) -> torch.Tensor:
         size = torch.where(torch.arange(80) < 24, times.get((spectrum, round(at[0, 0].item(), 3)), 1.0), 1.0)
         return (0.1 * index * size).expand(60, 80)[..., None]
 
@@ -105,7 +106,7 @@ def test_noise_is_found_beside_structure() -> None:
     x = np.linspace(0, 6, 200)
     structure = 20 + 5 * np.sin(x)[None] + np.where(x[:, None] > 3, 4.0, 0.0)
     noisy = structure + 0.05 * np.random.default_rng(0).standard_normal((200, 200))
-    assert _noise(noisy) == pytest.approx(0.05, rel=0.15)
+    assert noise_of(noisy) == pytest.approx(0.05, rel=0.15)
 
 
 def test_what_nobody_saw_is_not_to_be_read(scene) -> None:

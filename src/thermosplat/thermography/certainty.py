@@ -35,6 +35,7 @@ from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.calibration import Calibration, calibration, read_calibration
+from thermosplat.thermography.picture_structure import noise_of, opened, scatter_of, stands_out
 from thermosplat.thermography.reprojection import (
     HIDDEN,
     camera_points,
@@ -67,7 +68,7 @@ _DEPTHS_APART = 0.05
 """Share of a depth by which the spectrum sees a surface before another spectrum's."""
 _SOLID = 0.5
 """Opacity from which on a spectrum says how far away a surface is."""
-_AGREES_LESS, _DISAGREES = 1.3, 2.0
+_AGREES_LESS, _DISAGREES = 1.6, 2.0
 """Where spectra see different surfaces: how many times as much the other's images disagree at this one's depth as at
 their own, and this one's images at the other's depth as is usual in the picture. Open choice, made on desk and lab."""
 _POOLED = 1 / 16
@@ -161,7 +162,7 @@ class Certainty:
         levels = np.array([self._level(index) for index in looked_at])
         level = float(np.std(levels))
         learnt = self._frames[:: max(1, len(self._frames) // _MOST_CALIBRATING)]
-        noise = float(np.median([_noise(self._measured_in(frame)[1].double().numpy(force=True)) for frame in learnt]))
+        noise = float(np.median([noise_of(self._measured_in(frame)[1].double().numpy(force=True)) for frame in learnt]))
         held_out = [frame for frame in frames if self.spectrum in frame.views]
         views = []
         for frame in held_out[:: max(1, len(held_out) // _MOST_CALIBRATING)]:
@@ -216,12 +217,23 @@ class Certainty:
         depth = self._surface(*self._seen_by_each(camera)) if own else self.model.render_depth(spectrum, camera)
         return camera, picture, depth
 
-    def _from_elsewhere(self, spectrum: str, index: int, view: ViewTensors, depth: Tensor) -> Tensor:
-        """A training image as it looks from a view, whose pixels are so deep, [H, W, C]; NaN where it is hidden."""
-        camera, picture, its_depth = self._taken(spectrum, index)
-        positions, depths = seen_from(camera, view, depth)
-        there = sampled(torch.cat([picture, its_depth[..., None]], dim=-1), positions)
-        return torch.where((depths <= (1 + HIDDEN) * there[..., -1])[..., None], there[..., :-1], torch.nan)
+    def _from_elsewhere(self, spectrum: str, index: int, view: ViewTensors, depth: Tensor, deep: str) -> Tensor:
+        """A training image as it looks from a view, [H, W, C]; NaN where it is hidden.
+
+        Args:
+            spectrum: The image's.
+            index: The training frame.
+            view: From where it is seen.
+            depth: How deep the view's pixels are, [H, W].
+            deep: The spectrum whose depths these are, which says what is hidden.
+        """
+        camera, picture, _ = self._taken(spectrum, index)
+        by, _, its_depth = self._taken(deep, index)
+        positions, depths = seen_from(by, view, depth)
+        visible = depths <= (1 + HIDDEN) * sampled(its_depth[..., None], positions)[..., 0]
+        if spectrum != deep:
+            positions, _ = seen_from(camera, view, depth)
+        return torch.where(visible[..., None], sampled(picture, positions), torch.nan)
 
     def _evidence(
         self, view: ViewTensors, values: Array, noise: float, level: float
@@ -231,18 +243,18 @@ class Certainty:
         depth = self._surface(solid, of_each)
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
-        normals = _normals(depth, view)
+        normals = torch.stack([_normals(one, view) for one in of_each.values()])  # some depths are rough: any may be so
         shown = torch.as_tensor(values, dtype=torch.float32, device=depth.device)
         seen, facing = torch.zeros_like(depth), torch.zeros_like(depth)
         points = camera_points(view, depth)
         nearest = []
         for rank, index in enumerate(order):
-            there = self._from_elsewhere(self.spectrum, index, view, depth)
+            there = self._from_elsewhere(self.spectrum, index, view, depth, self.spectrum)
             visible = torch.isfinite(there[..., 0])
             seen += visible
             place = view.viewmat @ torch.linalg.inv(self._taken(self.spectrum, index)[0].viewmat)[:, 3]
             towards = place[:3] - points
-            cosine = (towards * normals).sum(dim=-1).abs() / towards.norm(dim=-1).clamp(min=1e-9)
+            cosine = (towards * normals).sum(dim=-1).abs().amax(dim=0) / towards.norm(dim=-1).clamp(min=1e-9)
             facing = torch.maximum(facing, torch.where(visible, cosine, 0.0))
             if rank < _NEAREST:
                 nearest.append(there)
@@ -250,20 +262,23 @@ class Certainty:
         if nearest:
             squares = (torch.stack(nearest)[..., 0] - shown).square().nanmean(dim=0)
             spread = squares.nan_to_num().sqrt().double().cpu().numpy()
-            scatter = _scatter(nearest)
+            scatter = scatter_of(nearest)
         slope = np.hypot(*np.gradient(np.nan_to_num(values, nan=float(np.nanmedian(values)))))
         s = np.sqrt(noise**2 + level**2 + spread**2 + (slope / 2) ** 2)
         surface = (depth > 0).cpu().numpy() & np.isfinite(values)
         doubts = np.zeros(values.shape, np.uint8)
-        few = seen.cpu().numpy() < _FEWEST_VIEWS
+        few = opened((seen < _FEWEST_VIEWS).cpu().numpy())
         doubts[few] |= FEW_VIEWS
-        doubts[_opened((facing < _LEAST_COSINE).cpu().numpy() & ~few)] |= GRAZING
+        doubts[opened(((facing < _LEAST_COSINE) & (seen > 0)).cpu().numpy())] |= GRAZING
         usual = float(np.median(scatter[surface])) if surface.any() else 0.0
-        doubts[_opened(scatter > _TIMES_USUAL * np.hypot(slope, max(usual, noise)))] |= REFLECTING
+        beside = cv2.dilate(slope, np.ones((3, 3), np.uint8))  # images lie a pixel aside at most
+        doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise)))] |= REFLECTING
         for other in of_each.keys() - {self.spectrum}:
             both = solid[self.spectrum] & solid[other]
             doubts[self._lies_before(other, view, depth, of_each[other], both, order)] |= DEPTHS_DIFFER
-        doubts[_small(values, noise, depth, view, self._taken(self.spectrum, order[0])[0] if order else view)] |= SMALL
+        doubts[stands_out(values, noise, depth, view, self._taken(self.spectrum, order[0])[0] if order else view)] |= (
+            SMALL
+        )
         doubts[~surface] = NO_SURFACE
         return np.where(surface, s, np.nan), doubts
 
@@ -274,19 +289,20 @@ class Certainty:
 
         What the spectrum itself looks through, as films, is no such place: there it shows what lies behind.
         """
-        before = _opened((both & (depth > 0) & (theirs > (1 + _DEPTHS_APART) * depth)).cpu().numpy())
+        before = opened((both & (depth > 0) & (theirs > (1 + _DEPTHS_APART) * depth)).cpu().numpy())
         near = [index for index in order if other in self._frames[index].views][:_NEAREST]
         if not before.any() or not near:
-            return before
+            return np.zeros_like(before)
         window = 2 * round(_POOLED * view.width / 2) + 1
 
-        def disagreement(spectrum: str, at: Tensor) -> tuple[Array, float]:
-            scatter = _scatter([self._from_elsewhere(spectrum, index, view, at) for index in near])
+        def disagreement(spectrum: str, at: Tensor, deep: str) -> tuple[Array, float]:
+            scatter = scatter_of([self._from_elsewhere(spectrum, index, view, at, deep) for index in near])
             share, sums = (cv2.blur(np.where(before, x, 0.0), (window, window)) for x in (1.0, scatter**2))
-            return np.sqrt(sums / np.maximum(share, 1e-9)), float(np.median(scatter))
+            return np.sqrt(np.maximum(sums, 0) / np.maximum(share, 1e-9)), float(np.median(scatter))
 
-        at_own, at_theirs = disagreement(other, depth)[0], disagreement(other, theirs)[0]
-        thermal, usual = disagreement(self.spectrum, theirs)
+        at_own, _ = disagreement(other, depth, self.spectrum)
+        at_theirs, _ = disagreement(other, theirs, other)
+        thermal, usual = disagreement(self.spectrum, theirs, other)
         told: NDArray[np.bool_] = before & (at_own > _AGREES_LESS * at_theirs) & (thermal > _DISAGREES * usual)
         return told
 
@@ -307,18 +323,6 @@ class Certainty:
         return depth
 
 
-def _scatter(images: Sequence[Tensor]) -> Array:
-    """How far apart images are, by the median, mean over their channels, [H, W]; 0 where they show nothing."""
-    of_each = torch.stack(list(images))
-    apart = (of_each - of_each.nanmedian(dim=0).values).abs().nanmedian(dim=0).values
-    return 1.4826 * apart.mean(dim=-1).nan_to_num().double().cpu().numpy()  # standard deviations, were they normal
-
-
-def _opened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Without what is narrower than 5 pixels: at edges depths and normals are those of neither side."""
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8)) > 0
-
-
 def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
     """Unit normals of what a view sees, in camera axes, [H, W, 3]."""
     smooth = torch.nn.functional.avg_pool2d(depth[None, None], 5, 1, 2, count_include_pad=False)[0, 0]
@@ -326,21 +330,3 @@ def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
     down, across = torch.gradient(points, dim=(0, 1))
     normal = torch.linalg.cross(across, down)
     return normal / normal.norm(dim=-1, keepdim=True).clamp(min=1e-20)
-
-
-def _small(values: Array, noise: float, depth: Tensor, view: ViewTensors, sensor: ViewTensors) -> NDArray[np.bool_]:
-    """Where a value stands out of a surrounding of 3x3 pixels of the sensor, by more than its noise explains."""
-    seen = depth[depth > 0]
-    away = float(seen.median()) if view.orthographic and len(seen) else 1.0
-    size = 3 * away * float(view.K[0, 0]) / float(sensor.K[0, 0])
-    window = min(max(3, 2 * round(size / 2) + 1), 5)  # OpenCV's largest of floats
-    filled = np.nan_to_num(values, nan=float(np.nanmedian(values))).astype(np.float32)
-    apart = np.abs(filled - cv2.medianBlur(filled, window))
-    return apart > max(5 * noise, 0.02 * float(np.ptp(filled)))
-
-
-def _noise(values: Array) -> float:
-    """Standard deviation of white noise in an image (Immerkaer 1996), of the half of the image with less structure."""
-    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float64)
-    response = np.abs(cv2.filter2D(np.nan_to_num(values, nan=float(np.nanmedian(values))), cv2.CV_64F, kernel))
-    return float(np.median(response[1:-1, 1:-1]) / 0.6745 / 6)
