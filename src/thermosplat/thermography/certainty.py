@@ -276,9 +276,8 @@ class Certainty:
         for other in of_each.keys() - {self.spectrum}:
             both = solid[self.spectrum] & solid[other]
             doubts[self._lies_before(other, view, depth, of_each[other], both, order)] |= DEPTHS_DIFFER
-        doubts[stands_out(values, noise, depth, view, self._taken(self.spectrum, order[0])[0] if order else view)] |= (
-            SMALL
-        )
+        focal = float(self._frames[order[0] if order else 0].views[self.spectrum].camera.K[0, 0])
+        doubts[stands_out(values, noise, depth, view, focal)] |= SMALL
         doubts[~surface] = NO_SURFACE
         return np.where(surface, s, np.nan), doubts
 

@@ -25,11 +25,19 @@ def opened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8)) > 0
 
 
-def stands_out(values: Array, noise: float, depth: Tensor, view: ViewTensors, sensor: ViewTensors) -> NDArray[np.bool_]:
-    """Where a value stands out of what 3x3 pixels of the sensor fit into, by more than its noise explains."""
+def stands_out(values: Array, noise: float, depth: Tensor, view: ViewTensors, focal: float) -> NDArray[np.bool_]:
+    """Where a value stands out of what 3x3 pixels of the sensor fit into, by more than its noise explains.
+
+    Args:
+        values: The picture, [H, W].
+        noise: Standard deviation of the sensor's noise.
+        depth: How deep the picture is, [H, W].
+        view: Its camera.
+        focal: Focal length of the sensor [px].
+    """
     seen = depth[depth > 0]
     away = float(seen.median()) if view.orthographic and len(seen) else 1.0
-    square = np.ones((max(3, round(3 * away * float(view.K[0, 0]) / float(sensor.K[0, 0]))),) * 2, np.uint8)
+    square = np.ones((max(3, round(3 * away * float(view.K[0, 0]) / focal)),) * 2, np.uint8)
     filled = np.nan_to_num(values, nan=float(np.nanmedian(values))).astype(np.float32)
     warm, cold = (cv2.morphologyEx(filled, how, square) for how in (cv2.MORPH_TOPHAT, cv2.MORPH_BLACKHAT))
     return np.maximum(warm, cold) > max(5 * noise, 0.02 * float(np.ptp(filled)))
