@@ -68,14 +68,14 @@ _DEPTHS_APART = 0.05
 """Share of a depth by which the spectrum sees a surface before another spectrum's."""
 _SOLID = 0.5
 """Opacity from which on a spectrum says how far away a surface is."""
-_AGREES_LESS, _DISAGREES = 1.6, 2.0
+_AGREES_LESS, _DISAGREES = 1.6, 1.5
 """Where spectra see different surfaces: how many times as much the other's images disagree at this one's depth as at
 their own, and this one's images at the other's depth as is usual in the picture. Open choice, made on desk and lab."""
 _POOLED = 1 / 16
 """Share of the picture's width over which they are compared."""
 _TIMES_USUAL = 3.0
-"""Times the noise, the slope, or the usual disagreement (the picture's median) from which on that of views counts as a
-reflection."""
+"""Times the noise, the drift, the slope, or the usual disagreement (the picture's median) from which on that of views
+counts as a reflection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +272,7 @@ class Certainty:
         doubts[opened(((facing < _LEAST_COSINE) & (seen > 0)).cpu().numpy())] |= GRAZING
         usual = float(np.median(scatter[surface])) if surface.any() else 0.0
         beside = cv2.dilate(slope, np.ones((3, 3), np.uint8))  # images lie a pixel aside at most
-        doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise)))] |= REFLECTING
+        doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise, level)))] |= REFLECTING
         for other in of_each.keys() - {self.spectrum}:
             both = solid[self.spectrum] & solid[other]
             doubts[self._lies_before(other, view, depth, of_each[other], both, order)] |= DEPTHS_DIFFER
