@@ -3,7 +3,8 @@
     python benchmarks/bench_certainty.py RUN... [--data FOLDER] [--json out.json]
 
 Held-out views are judged in two halves: intervals of one half are as wide as the other half says, so that no pixel
-widens its own interval. Shares of pixels that are shaded are by label, where the capture has labels.
+widens its own interval. Shares of pixels that are shaded are by label, where the capture has labels: what reflects
+(glass, chrome, gloss) is to be shaded, and the rest is not.
 """
 
 import argparse
@@ -19,6 +20,11 @@ from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.runs.environment import environment
 from thermosplat.thermography.certainty import DOUBTS, Certainty
+
+_REFLECTING = ("glass", "specular")
+"""Labels of what is to be shaded."""
+_TOLD = 0.005
+"""Least share of the pixels whose reason is printed."""
 
 
 @torch.no_grad()
@@ -43,7 +49,9 @@ def judged(named: str, data: str | None) -> list[dict[str, Any]]:
             parts["label"].append(np.zeros(there.sum(), int) if truth is None else truth.label[there])
     inside, half, doubts, label = (np.concatenate(parts[name]) for name in parts)
     rows = []
-    for name, chosen in {"all": label >= 0, **{name: label == key for key, name in LABELS.items()}}.items():
+    reflects = np.isin(label, [key for key, name in LABELS.items() if name in _REFLECTING])
+    groups = {"all": label >= 0, "what reflects": reflects, "the rest": ~reflects}
+    for name, chosen in {**groups, **{name: label == key for key, name in LABELS.items()}}.items():
         if chosen.any():
             reasons = {text: float(((doubts[chosen] & bit) > 0).mean()) for bit, text in DOUBTS.items()}
             found = {"run": loaded.directory.path.name, "label": name, "pixels": int(chosen.sum())}
@@ -60,14 +68,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     rows = []
-    print("| run | pixels of | number | in their interval | median half [°C] | shaded | most often because |")
+    print("| run | pixels of | number | in their interval | median half [°C] | shaded | because |")
     print("|---|---|---|---|---|---|---|")
     for run in arguments.runs:
         for row in judged(run, arguments.data):
-            why = max(row["reasons"], key=row["reasons"].get)
+            why = sorted(row["reasons"].items(), key=lambda reason: -reason[1])
+            said = ", ".join(f"{text} {share:.1%}" for text, share in why if share >= _TOLD)
             print(
                 f"| {row['run']} | {row['label']} | {row['pixels']:,} | {row['inside']:.1%} | {row['half']:.2f} | "
-                f"{row['shaded']:.1%} | {why} ({row['reasons'][why]:.0%}) |",
+                f"{row['shaded']:.1%} | {said} |",
                 flush=True,
             )
             rows.append(row)

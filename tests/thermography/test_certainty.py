@@ -8,8 +8,10 @@ import pytest
 import torch
 
 from thermosplat.datasets.frame_tensors import view_tensors
-from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, Calibration, Certainty, _noise, _read
+from thermosplat.thermography.calibration import Calibration, calibration, read_calibration
+from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, Certainty
 from thermosplat.thermography.measurements import Measurement
+from thermosplat.thermography.picture_structure import noise_of
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.session import Wish
 from viewed_toy import toy_session, viewed_toy
@@ -25,14 +27,60 @@ def scene():
 
 
 def test_intervals_hold_their_share_of_the_views_they_are_made_of(scene) -> None:
-    """95 of 100 pixels, however wrong the scene is."""
+    """95 of 100 pixels or more, however wrong the scene is."""
     certainty = scene.certainties["thermal"]
     frames = list(scene.capture.test)
     made = certainty.calibrated(frames)
     error, half, _ = certainty.compared(frames[0], made)
     there = np.isfinite(half)
-    assert np.mean(np.abs(error)[there] <= half[there]) == pytest.approx(0.95, abs=0.02)
+    assert np.mean(np.abs(error)[there] <= half[there]) > 0.93
     assert len(made.factors) == len(made.edges) + 1
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0])
+def test_intervals_hold_their_share_of_new_views(drift: float) -> None:
+    """Also where the level drifts from view to view, of which four held-out views know few."""
+    random = np.random.default_rng(0)
+
+    def view() -> tuple[np.ndarray, np.ndarray]:
+        s = random.uniform(0.5, 2.0, 2000)
+        return s, 0.1 * s * random.standard_normal(2000) + drift * random.uniform(-1, 1)
+
+    made = calibration(0.05, drift * random.uniform(-1, 1, 60), [view() for _ in range(4)])
+    inside = [np.mean(np.abs(errors) <= made.half_width(s)) for s, errors in (view() for _ in range(300))]
+    assert 0.93 < np.mean(inside) < 0.97
+
+
+@pytest.mark.parametrize(
+    ("other_at_thermal", "thermal_at_other", "theirs", "differ"),
+    [
+        (3.0, 3.0, 1.2, True),
+        (1.0, 3.0, 1.2, False),
+        (3.0, 1.0, 1.2, False),
+        (3.0, 3.0, 1.02, False),
+        (3.0, 3.0, 0.8, False),
+    ],
+    ids=["glass", "colours agree at both", "heat agrees at both", "depths agree", "film"],
+)
+def test_images_tell_whether_spectra_see_different_surfaces(
+    scene, monkeypatch, other_at_thermal: float, thermal_at_other: float, theirs: float, differ: bool
+) -> None:
+    """Depths that differ are not enough: round warm things the thermal depth of plain surfaces is wrong."""
+    certainty = scene.certainties["thermal"]
+    view = scene.view(scene.start().viewmat, 50.0, 80, 60)
+    depth = torch.ones(60, 80)
+    other_depth = torch.where(torch.arange(80) < 24, theirs, 1.0).expand(60, 80).contiguous()
+    times = {("rgb", 1.0): other_at_thermal, ("thermal", theirs): thermal_at_other}
+
+    def images(spectrum: str, index: int, _: object, at: torch.Tensor, deep: str) -> torch.Tensor:
+        size = torch.where(torch.arange(80) < 24, times.get((spectrum, round(at[0, 0].item(), 3)), 1.0), 1.0)
+        return (0.1 * index * size).expand(60, 80)[..., None]
+
+    monkeypatch.setattr(certainty, "_from_elsewhere", images)
+    order = range(len(certainty._frames))
+    found = certainty._lies_before("rgb", view, depth, other_depth, torch.ones(60, 80, dtype=torch.bool), order)
+    assert found[:, :20].mean() == differ
+    assert not found[:, 24:].any()
 
 
 def test_a_calibration_is_kept(scene, tmp_path: Path) -> None:
@@ -40,19 +88,17 @@ def test_a_calibration_is_kept(scene, tmp_path: Path) -> None:
     path = tmp_path / "certainty.json"
     how = {"sh_degree": 1, "device": "cpu", "keep": path}
     first = Certainty(scene.model, scene.capture, "thermal", scene.scales["thermal"], **how).calibration
-    assert _read(path) == first
-    for damage in ("{", '{"noise": 1}', '{"noise": 1, "drift": 0, "edges": [1], "factors": [1]}'):
+    assert read_calibration(path) == first
+    for damage in ("{", '{"noise": 1}', '{"noise": 1, "level": 0, "edges": [1], "factors": [1]}'):
         path.write_text(damage)
-        assert _read(path) is None
+        assert read_calibration(path) is None
     assert Certainty(scene.model, scene.capture, "thermal", scene.scales["thermal"], **how).calibration == first
 
 
 def test_half_widths_follow_their_bins() -> None:
-    """Small and large s have factors of their own; no interval is narrower than the drift makes it."""
+    """Small and large s have factors of their own."""
     made = Calibration(0.1, 0.0, (1.0,), (2.0, 3.0))
     np.testing.assert_allclose(made.half_width(np.array([0.5, 2.0])), [1.0, 6.0])
-    drifting = replace(made, drift=1.0)
-    np.testing.assert_allclose(drifting.half_width(np.array([0.5, 2.0])), [1.96, 6.0])
 
 
 def test_noise_is_found_beside_structure() -> None:
@@ -60,7 +106,7 @@ def test_noise_is_found_beside_structure() -> None:
     x = np.linspace(0, 6, 200)
     structure = 20 + 5 * np.sin(x)[None] + np.where(x[:, None] > 3, 4.0, 0.0)
     noisy = structure + 0.05 * np.random.default_rng(0).standard_normal((200, 200))
-    assert _noise(noisy) == pytest.approx(0.05, rel=0.15)
+    assert noise_of(noisy) == pytest.approx(0.05, rel=0.15)
 
 
 def test_what_nobody_saw_is_not_to_be_read(scene) -> None:

@@ -1,6 +1,7 @@
 """The noise of training images is measured, stripes included; smoothness, the weight of a loss and blur follow it."""
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +14,8 @@ from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import load_run
 from thermosplat.spectra import SpectrumConfig
+from thermosplat.thermal.radiometry import FLIR_IRON, PixelScale
+from thermosplat.thermography.display_range import times_as_wide
 from thermosplat.training.frames.train_frames import TrainFrames
 from thermosplat.training.image_noise import (
     ImageNoise,
@@ -100,6 +103,23 @@ def test_images_of_much_noise_count_once() -> None:
     weights = [by_noise(spectrum, noise)[0].loss for noise in (0.0, 0.0025, 0.0125, 0.1)]
     assert weights == pytest.approx([2, 1.8, 1, 1])
     assert by_noise(dataclasses.replace(spectrum, loss=0.5), 0.01) == (dataclasses.replace(spectrum, loss=0.5), [])
+
+
+@pytest.mark.parametrize(("hottest", "corner", "weight"), [(30.0, 30.0, 0.3), (30.0, 300.0, 0.3), (300.0, 300.0, 0.05)])
+def test_noise_is_large_or_small_beside_what_most_values_span(hottest: float, corner: float, weight: float) -> None:
+    """0.4 K are much in 20 K, though one corner of 300 °C widens the range, and nothing where most values span 290."""
+    capture = toy_capture(thermal_kind="scalar")
+    values = np.random.default_rng(0).uniform(10.0, hottest, (180, 240)).astype(np.float32)
+    values[0, 0] = corner
+    view = dataclasses.replace(capture.train[0].views["thermal"], values=values)
+    scale = PixelScale("scalar", FLIR_IRON, (10.0, corner), "celsius")
+    frame = Frame("a", {**capture.train[0].views, "thermal": view})
+    capture = dataclasses.replace(capture, train=(frame,), scales={**capture.scales, "thermal": scale})
+    share = 0.4 / (corner - 10.0)
+    noise = {"thermal": ImageNoise(share, 0.0, share)}.get
+    config = toy_run_config(spectra={"thermal": MEASURED})
+    fitted, _ = SensorFacts(config, noise, widths=partial(times_as_wide, capture)).fitted(config)
+    assert fitted.spectra["thermal"].smoothness == pytest.approx(weight)
 
 
 def noisy(capture: Capture, **sigmas: float) -> Capture:

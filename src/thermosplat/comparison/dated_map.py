@@ -58,7 +58,7 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
     """Render a date.
 
     A cold surface may be as dark as what lies behind the scene, and training leaves it transparent there. Then values
-    count where photographs have a surface, and no height is known. What fewer than three thermal images saw, as at the
+    count where photographs have a surface, and no height is known. What fewer than two thermal images saw, as at the
     edge of a flight, counts nowhere.
 
     Args:

@@ -166,7 +166,7 @@ _ENGLISH = re.compile(r"\b(" + "|".join(map(re.escape, _WORDS)) + r")\b")
 _POINT = re.compile(r"(?<=\d)\.(?=\d)")
 
 _DOUBTS = {
-    FEW_VIEWS: "weniger als drei Aufnahmen zeigen es",
+    FEW_VIEWS: "weniger als zwei Aufnahmen zeigen es",
     GRAZING: "nur streifend gesehen",
     REFLECTING: "ändert sich mit der Blickrichtung, wie Spiegelungen",
     DEPTHS_DIFFER: "die Spektren sehen verschiedene Tiefen",

@@ -4,17 +4,19 @@ A picture's values are compared with the training images that were taken nearest
 they differ by (spread), the noise of the sensor, the level that drifts from image to image, and half a pixel of the
 temperature's slope make
 
-    s² = noise² + drift² + spread² + (slope / 2)²
+    s² = noise² + level² + spread² + (slope / 2)²
 
-Held-out views then tell by how many s a temperature is wrong in 95 of 100 pixels, for small and for large s apart
-(split conformal prediction: Vovk, Gammerman and Shafer 2005). So an interval holds 95% on views like those of the
-capture. A level is one number for all pixels of an image, and a handful of held-out views knows few of them. So no
-interval is narrower than 1.96 times the drift, which holds 95% of the levels of all training views. Intervals say
-nothing of surfaces whose emissivity is another one than was assumed.
+Held-out views then tell by how many s a temperature is wrong in 95 of 100 pixels (calibration.py). So an interval holds
+95% on views like those of the capture. Intervals say nothing of surfaces whose emissivity is another one than was
+assumed.
+
+Whether the spectra see different surfaces, as at glass, the images tell, not depths alone: around warm things the depth
+of plain surfaces is wrong in the thermal spectrum, since nothing there says what it is. So the other spectrum's images
+must agree less at the thermal depth than at their own, and thermal images must disagree at the other's.
 """
 
 import json
-import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -28,11 +30,12 @@ from torch import Tensor
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.errors import UserError
-from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
+from thermosplat.thermography.calibration import Calibration, calibration, read_calibration
+from thermosplat.thermography.picture_structure import noise_of, opened, scatter_of, stands_out
 from thermosplat.thermography.reprojection import (
     HIDDEN,
     camera_points,
@@ -43,19 +46,13 @@ from thermosplat.thermography.reprojection import (
 )
 
 Array = NDArray[np.float64]
-LEVEL = 0.95
-"""Share of pixels that intervals are to hold."""
-_NEAREST, _LOOKED_AT = 8, 24
+_NEAREST, _LOOKED_AT = 8, 48
 """Training views that are compared with, and those of which it is asked whether they see a point."""
-_NORMAL = 1.96
-"""Standard deviations of a normal distribution within which 95% lie."""
-_BINS = 4
-"""Of s, each with a factor of its own."""
-_MOST_CALIBRATING = 12
-"""Views of either kind that are rendered for it."""
+_MOST_CALIBRATING, _MOST_LEVELS = 12, 48
+"""Held-out views that intervals are made of, and training views whose level is."""
 FEW_VIEWS, GRAZING, REFLECTING, DEPTHS_DIFFER, SMALL, NO_SURFACE = (1 << bit for bit in range(6))
 DOUBTS = {
-    FEW_VIEWS: "fewer than three views saw it",
+    FEW_VIEWS: "fewer than two views saw it",
     GRAZING: "it was seen at grazing angles only",
     REFLECTING: "it changes with the direction, as reflections do",
     DEPTHS_DIFFER: "the spectra disagree about its depth",
@@ -63,34 +60,22 @@ DOUBTS = {
     NO_SURFACE: "no surface is there",
 }
 """Why a value should not be read."""
-_FEWEST_VIEWS = 3
+_FEWEST_VIEWS = 2
+"""Without two of them nobody knows how far away it is."""
 _LEAST_COSINE = 0.26
 """75° from straight on: emissivity of most surfaces falls beyond 60 to 70° (Minkina and Dudzik 2009)."""
-_DEPTHS_APART = 0.04
-"""Share of a depth by which the spectra's may differ."""
+_DEPTHS_APART = 0.05
+"""Share of a depth by which the spectrum sees a surface before another spectrum's."""
 _SOLID = 0.5
 """Opacity from which on a spectrum says how far away a surface is."""
+_AGREES_LESS, _DISAGREES = 1.6, 1.5
+"""Where spectra see different surfaces: how many times as much the other's images disagree at this one's depth as at
+their own, and this one's images at the other's depth as is usual in the picture. Open choice, made on desk and lab."""
+_POOLED = 1 / 16
+"""Share of the picture's width over which they are compared."""
 _TIMES_USUAL = 3.0
-"""Times the usual disagreement (the picture's median) from which on that of views counts as a reflection, if it is also
-more than so many times the noise, and that of depths as two surfaces."""
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What held-out views say of a scene's temperatures."""
-
-    noise: float
-    """Standard deviation of the sensor's noise, in the unit of the values."""
-    drift: float
-    """Standard deviation of the level from image to image that the scene does not explain."""
-    edges: tuple[float, ...]
-    """Ends of the bins of s."""
-    factors: tuple[float, ...]
-    """Half of the interval in each bin, in s; one more than edges."""
-
-    def half_width(self, s: Array) -> Array:
-        """Half of the interval for each s."""
-        return np.maximum(np.asarray(self.factors)[np.searchsorted(self.edges, s)] * s, _NORMAL * self.drift)
+"""Times the noise, the drift, the slope, or the usual disagreement (the picture's median) from which on that of views
+counts as a reflection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,19 +133,19 @@ class Certainty:
             view: From where they were rendered.
             values: What was rendered, [H, W], as the capture has it (not recalculated).
         """
-        s, doubts = self._evidence(view, values.astype(np.float64), self.calibration.noise, self.calibration.drift)
+        s, doubts = self._evidence(view, values.astype(np.float64), self.calibration.noise, self.calibration.level)
         return Sure(self.calibration.half_width(s), doubts)
 
     @property
     def is_known(self) -> bool:
         """Whether the calibration is at hand; else it takes a while."""
-        return self._calibration is not None or (self._keep is not None and _read(self._keep) is not None)
+        return self._calibration is not None or (self._keep is not None and read_calibration(self._keep) is not None)
 
     @property
     def calibration(self) -> Calibration:
         """What held-out views say; found when it is first asked for."""
         if self._calibration is None:
-            known = None if self._keep is None else _read(self._keep)
+            known = None if self._keep is None else read_calibration(self._keep)
             self._calibration = known or self.calibrated(list(self.capture.test) or self._frames)
             if known is None and self._keep is not None:
                 write_text(self._keep, json.dumps(asdict(self._calibration)) + "\n")
@@ -173,40 +158,44 @@ class Certainty:
         Args:
             frames: Views that the scene was not trained on.
         """
+        looked_at = range(0, len(self._frames), max(1, len(self._frames) // _MOST_LEVELS))
+        levels = np.array([self._level(index) for index in looked_at])
+        level = float(np.std(levels))
         learnt = self._frames[:: max(1, len(self._frames) // _MOST_CALIBRATING)]
-        images = [self._compared(frame) for frame in learnt]
-        noise = float(np.median([_noise(expected) for _, _, expected in images]))
-        levels = np.array([np.nanmedian(expected - rendered) for _, rendered, expected in images])
-        drift = float(1.4826 * np.median(np.abs(levels - np.median(levels))))
-        sizes, errors = [], []
+        noise = float(np.median([noise_of(self._measured_in(frame)[1].double().numpy(force=True)) for frame in learnt]))
         held_out = [frame for frame in frames if self.spectrum in frame.views]
+        views = []
         for frame in held_out[:: max(1, len(held_out) // _MOST_CALIBRATING)]:
             view, rendered, expected = self._compared(frame)
-            s, _ = self._evidence(view, rendered, noise, drift)
+            s, _ = self._evidence(view, rendered, noise, level)
             there = np.isfinite(s) & np.isfinite(expected)
-            sizes.append(s[there])
-            errors.append(np.abs(rendered - expected)[there])
-        size, error = np.concatenate(sizes), np.concatenate(errors)
-        if len(size) < 100:
-            return Calibration(noise, drift, (), (2.0,))
-        edges = np.quantile(size, np.linspace(0, 1, _BINS + 1)[1:-1])
-        of_bin = np.searchsorted(edges, size)
-        ratios = error / np.maximum(size, 1e-12)
-        factors = [float(np.quantile(ratios[of_bin == k], LEVEL)) if (of_bin == k).any() else 2.0 for k in range(_BINS)]
-        return Calibration(noise, drift, tuple(map(float, edges)), tuple(factors))
+            views.append((s[there], (rendered - expected)[there]))
+        return calibration(noise, levels, views)
 
     def compared(self, frame: Frame, calibration: Calibration) -> tuple[Array, Array, NDArray[np.uint8]]:
         """Errors [H, W], halves of the intervals and doubts of a view that has an image."""
         view, rendered, expected = self._compared(frame)
-        s, doubts = self._evidence(view, rendered, calibration.noise, calibration.drift)
+        s, doubts = self._evidence(view, rendered, calibration.noise, calibration.level)
         return rendered - expected, calibration.half_width(s), doubts
 
     def _compared(self, frame: Frame) -> tuple[ViewTensors, Array, Array]:
         """A frame's view, and its values as they are rendered and as they were measured, [H, W]."""
-        view = view_tensors(frame.views[self.spectrum], None, self._device)
+        view, measured = self._measured_in(frame)
+        return view, self._rendered(view), measured.double().cpu().numpy()
+
+    def _rendered(self, view: ViewTensors) -> Array:
         image = self.model.render({self.spectrum: view}, sh_degree=self._sh_degree).images[self.spectrum]
-        rendered = self.scale.value(pixel_intensity(image.clamp(0, 1), self.scale)).double().cpu().numpy()
-        return view, rendered, self._measured(view).double().cpu().numpy()
+        values: Array = self.scale.value(pixel_intensity(image.clamp(0, 1), self.scale)).double().cpu().numpy()
+        return values
+
+    def _level(self, index: int) -> float:
+        """What the scene is wrong by in a training view as a whole."""
+        camera, values, _ = self._taken(self.spectrum, index)
+        return float(np.nanmedian(self._rendered(camera) - values[..., 0].double().cpu().numpy()))
+
+    def _measured_in(self, frame: Frame) -> tuple[ViewTensors, Tensor]:
+        view = view_tensors(frame.views[self.spectrum], None, self._device)
+        return view, self._measured(view)
 
     def _measured(self, view: ViewTensors) -> Tensor:
         """Values of a photograph, [H, W]; within the range that a scene can show."""
@@ -217,57 +206,104 @@ class Certainty:
         values: Tensor = self.scale.value(pixel_intensity(view.image, self.scale))
         return values
 
-    def _taken_anew(self, index: int) -> tuple[ViewTensors, Tensor, Tensor]:
-        """A training view of a size that tells what is hidden: its camera, values and depths."""
-        view = view_tensors(self._frames[index].views[self.spectrum], None, self._device)
-        camera = coarse_view(view)
-        values = torch.nn.functional.interpolate(
-            self._measured(view)[None, None], (camera.height, camera.width), mode="area"
-        )[0, 0]
-        return camera, values, self._surface(*self._seen_by_each(camera))
+    def _taken_anew(self, spectrum: str, index: int) -> tuple[ViewTensors, Tensor, Tensor]:
+        """A training view in a spectrum, of a size that tells what is hidden: its camera, picture and depths."""
+        view = view_tensors(self._frames[index].views[spectrum], None, self._device)
+        camera, own = coarse_view(view), spectrum == self.spectrum
+        shown = self._measured(view)[..., None] if own else view.image
+        assert shown is not None  # noqa: S101  a view of a capture
+        size = (camera.height, camera.width)
+        picture = torch.nn.functional.interpolate(shown.permute(2, 0, 1)[None], size, mode="area")[0].permute(1, 2, 0)
+        depth = self._surface(*self._seen_by_each(camera)) if own else self.model.render_depth(spectrum, camera)
+        return camera, picture, depth
+
+    def _from_elsewhere(self, spectrum: str, index: int, view: ViewTensors, depth: Tensor, deep: str) -> Tensor:
+        """A training image as it looks from a view, [H, W, C]; NaN where it is hidden.
+
+        Args:
+            spectrum: The image's.
+            index: The training frame.
+            view: From where it is seen.
+            depth: How deep the view's pixels are, [H, W].
+            deep: The spectrum whose depths these are, which says what is hidden.
+        """
+        camera, picture, _ = self._taken(spectrum, index)
+        by, _, its_depth = self._taken(deep, index)
+        positions, depths = seen_from(by, view, depth)
+        visible = depths <= (1 + HIDDEN) * sampled(its_depth[..., None], positions)[..., 0]
+        if spectrum != deep:
+            positions, _ = seen_from(camera, view, depth)
+        return torch.where(visible[..., None], sampled(picture, positions), torch.nan)
 
     def _evidence(
-        self, view: ViewTensors, values: Array, noise: float, drift: float
+        self, view: ViewTensors, values: Array, noise: float, level: float
     ) -> tuple[Array, NDArray[np.uint8]]:
         """s of each pixel, and its doubts."""
         solid, of_each = self._seen_by_each(view)
         depth = self._surface(solid, of_each)
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
-        normals = _normals(depth, view)
+        normals = torch.stack([_normals(one, view) for one in of_each.values()])  # some depths are rough: any may be so
         shown = torch.as_tensor(values, dtype=torch.float32, device=depth.device)
-        seen = torch.zeros_like(depth)
-        facing = torch.zeros_like(depth)
-        squares, compared = torch.zeros_like(depth), torch.zeros_like(depth)
+        seen, facing = torch.zeros_like(depth), torch.zeros_like(depth)
         points = camera_points(view, depth)
+        nearest = []
         for rank, index in enumerate(order):
-            camera, taken, taken_depth = self._taken(index)
-            positions, depths = seen_from(camera, view, depth)
-            there = sampled(torch.stack([taken, taken_depth], dim=-1), positions)
-            visible = depths <= (1 + HIDDEN) * there[..., 1]
+            there = self._from_elsewhere(self.spectrum, index, view, depth, self.spectrum)
+            visible = torch.isfinite(there[..., 0])
             seen += visible
-            place = view.viewmat @ torch.linalg.inv(camera.viewmat)[:, 3]
+            place = view.viewmat @ torch.linalg.inv(self._taken(self.spectrum, index)[0].viewmat)[:, 3]
             towards = place[:3] - points
-            cosine = (towards * normals).sum(dim=-1).abs() / towards.norm(dim=-1).clamp(min=1e-9)
+            cosine = (towards * normals).sum(dim=-1).abs().amax(dim=0) / towards.norm(dim=-1).clamp(min=1e-9)
             facing = torch.maximum(facing, torch.where(visible, cosine, 0.0))
             if rank < _NEAREST:
-                difference = torch.where(visible, there[..., 0] - shown, 0.0).nan_to_num()
-                squares += difference.square()
-                compared += visible
-        spread = torch.sqrt(squares / compared.clamp(min=1)).double().cpu().numpy()
+                nearest.append(there)
+        spread, scatter = np.zeros(values.shape), np.zeros(values.shape)
+        if nearest:
+            squares = (torch.stack(nearest)[..., 0] - shown).square().nanmean(dim=0)
+            spread = squares.nan_to_num().sqrt().double().cpu().numpy()
+            scatter = scatter_of(nearest)
         slope = np.hypot(*np.gradient(np.nan_to_num(values, nan=float(np.nanmedian(values)))))
-        s = np.sqrt(noise**2 + drift**2 + spread**2 + (slope / 2) ** 2)
+        s = np.sqrt(noise**2 + level**2 + spread**2 + (slope / 2) ** 2)
         surface = (depth > 0).cpu().numpy() & np.isfinite(values)
         doubts = np.zeros(values.shape, np.uint8)
-        doubts[seen.cpu().numpy() < _FEWEST_VIEWS] |= FEW_VIEWS
-        doubts[(facing < _LEAST_COSINE).cpu().numpy() & (seen > 0).cpu().numpy()] |= GRAZING
-        usual = float(np.median(spread[surface])) if surface.any() else 0.0
-        explained = np.hypot(slope, max(_TIMES_USUAL * usual, _TIMES_USUAL * noise))
-        doubts[cv2.medianBlur(spread.astype(np.float32), 5) > explained] |= REFLECTING
-        doubts[self._depths_differ(solid, of_each)] |= DEPTHS_DIFFER
-        doubts[_small(values, noise, depth, view, self._taken(order[0])[0] if order else view)] |= SMALL
+        few = opened((seen < _FEWEST_VIEWS).cpu().numpy())
+        doubts[few] |= FEW_VIEWS
+        doubts[opened(((facing < _LEAST_COSINE) & (seen > 0)).cpu().numpy())] |= GRAZING
+        usual = float(np.median(scatter[surface])) if surface.any() else 0.0
+        beside = cv2.dilate(slope, np.ones((3, 3), np.uint8))  # images lie a pixel aside at most
+        doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise, level)))] |= REFLECTING
+        for other in of_each.keys() - {self.spectrum}:
+            both = solid[self.spectrum] & solid[other]
+            doubts[self._lies_before(other, view, depth, of_each[other], both, order)] |= DEPTHS_DIFFER
+        focal = float(self._frames[order[0] if order else 0].views[self.spectrum].camera.K[0, 0])
+        doubts[stands_out(values, noise, depth, view, focal)] |= SMALL
         doubts[~surface] = NO_SURFACE
         return np.where(surface, s, np.nan), doubts
+
+    def _lies_before(
+        self, other: str, view: ViewTensors, depth: Tensor, theirs: Tensor, both: Tensor, order: Sequence[int]
+    ) -> NDArray[np.bool_]:
+        """Where the spectrum sees a surface that another one looks through, [H, W].
+
+        What the spectrum itself looks through, as films, is no such place: there it shows what lies behind.
+        """
+        before = opened((both & (depth > 0) & (theirs > (1 + _DEPTHS_APART) * depth)).cpu().numpy())
+        near = [index for index in order if other in self._frames[index].views][:_NEAREST]
+        if not before.any() or not near:
+            return np.zeros_like(before)
+        window = 2 * round(_POOLED * view.width / 2) + 1
+
+        def disagreement(spectrum: str, at: Tensor, deep: str) -> tuple[Array, float]:
+            scatter = scatter_of([self._from_elsewhere(spectrum, index, view, at, deep) for index in near])
+            share, sums = (cv2.blur(np.where(before, x, 0.0), (window, window)) for x in (1.0, scatter**2))
+            return np.sqrt(np.maximum(sums, 0) / np.maximum(share, 1e-9)), float(np.median(scatter))
+
+        at_own, _ = disagreement(other, depth, self.spectrum)
+        at_theirs, _ = disagreement(other, theirs, other)
+        thermal, usual = disagreement(self.spectrum, theirs, other)
+        told: NDArray[np.bool_] = before & (at_own > _AGREES_LESS * at_theirs) & (thermal > _DISAGREES * usual)
+        return told
 
     def _seen_by_each(self, view: ViewTensors) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """By spectrum, where it shows a surface in a view, and how deep, both [H, W]."""
@@ -285,19 +321,6 @@ class Certainty:
             depth = torch.where(~solid[self.spectrum] & solid[other], theirs, depth)
         return depth
 
-    def _depths_differ(self, solid: dict[str, Tensor], depths: dict[str, Tensor]) -> NDArray[np.bool_]:
-        """Where another spectrum sees a surface at another depth, [H, W]."""
-        depth = depths[self.spectrum]
-        differ = torch.zeros_like(depth, dtype=torch.bool)
-        for other, theirs in depths.items():
-            if other != self.spectrum:
-                both = solid[self.spectrum] & solid[other]
-                apart = (theirs - depth).abs() / torch.minimum(theirs, depth).clamp(min=1e-9)
-                usual = float(apart[both & (depth > 0)].median().nan_to_num())
-                differ |= both & (apart > max(_DEPTHS_APART, _TIMES_USUAL * usual))
-        opened = cv2.morphologyEx(differ.cpu().numpy().astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        return opened > 0
-
 
 def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
     """Unit normals of what a view sees, in camera axes, [H, W, 3]."""
@@ -306,33 +329,3 @@ def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
     down, across = torch.gradient(points, dim=(0, 1))
     normal = torch.linalg.cross(across, down)
     return normal / normal.norm(dim=-1, keepdim=True).clamp(min=1e-20)
-
-
-def _small(values: Array, noise: float, depth: Tensor, view: ViewTensors, sensor: ViewTensors) -> NDArray[np.bool_]:
-    """Where a value stands out of a surrounding of 3x3 pixels of the sensor, by more than its noise explains."""
-    seen = depth[depth > 0]
-    away = float(seen.median()) if view.orthographic and len(seen) else 1.0
-    size = 3 * away * float(view.K[0, 0]) / float(sensor.K[0, 0])
-    window = min(max(3, 2 * round(size / 2) + 1), 5)  # OpenCV's largest of floats
-    filled = np.nan_to_num(values, nan=float(np.nanmedian(values))).astype(np.float32)
-    apart = np.abs(filled - cv2.medianBlur(filled, window))
-    return apart > max(5 * noise, 0.02 * float(np.ptp(filled)))
-
-
-def _noise(values: Array) -> float:
-    """Standard deviation of white noise in an image (Immerkaer 1996), of the half of the image with less structure."""
-    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float64)
-    response = np.abs(cv2.filter2D(np.nan_to_num(values, nan=float(np.nanmedian(values))), cv2.CV_64F, kernel))
-    return float(np.median(response[1:-1, 1:-1]) / 0.6745 / 6)
-
-
-def _read(path: Path) -> Calibration | None:
-    """A calibration that was kept; None where there is none that can be read."""
-    try:
-        stated = json.loads(read_regular(path))
-        edges, factors = (tuple(map(float, stated[name])) for name in ("edges", "factors"))
-        made = Calibration(float(stated["noise"]), float(stated["drift"]), edges, factors)
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    sound = len(factors) == len(edges) + 1 and all(map(math.isfinite, (*edges, *factors, made.noise, made.drift)))
-    return made if sound else None

@@ -42,3 +42,11 @@ def display_range(capture: Capture, spectrum: str) -> tuple[float, float] | None
     if last <= first or high - low < _WIDER * (last - first):
         return low, high
     return max(low, first - margin), min(high, last + margin)
+
+
+def times_as_wide(capture: Capture, spectrum: str) -> float:
+    """How many times as wide as what pictures show the range of a spectrum's values is, at least 1."""
+    shown, scale = display_range(capture, spectrum), capture.scales.get(spectrum)
+    if shown is None or scale is None or scale.range is None or shown[1] <= shown[0]:
+        return 1.0
+    return max(1.0, (scale.range[1] - scale.range[0]) / (shown[1] - shown[0]))

@@ -12,6 +12,7 @@ from thermosplat.config.run_schedule import run_schedule, steps_note
 from thermosplat.datasets.capture import Capture
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.formations.saved_formations import as_trained
+from thermosplat.thermography.display_range import times_as_wide
 from thermosplat.training.budget.noise_floor import noise_floors
 from thermosplat.training.budget.tolerances import Tolerances
 from thermosplat.training.density.gaussian_limit import with_limit
@@ -54,7 +55,7 @@ class Recipe:
             tolerances: Of a budget.
         """
         known = None if checkpoint is None else checkpoint.training.noisy
-        facts = SensorFacts(asked, partial(training_noise, frames), known)
+        facts = SensorFacts(asked, partial(training_noise, frames), known, partial(times_as_wide, capture))
         notes = steps_note(asked, len(frames), facts.noisy)
         config = run_schedule(asked, len(frames), facts.noisy)
         if checkpoint is not None:

@@ -2,6 +2,8 @@
 
 The fact is the noise of the images (image_noise.py). It decides what else can be known of a sensor: noise rewards blur,
 so that no blur is learnt where it is large. What drifts from image to image is learnt with the scene (exposures.py).
+Noise is small or large beside what most values span, not beside a range that one hot corner makes wide, and not in
+kelvin: 0.3 K hide a wall's 2 K and nothing of a furnace's 500 K.
 """
 
 from collections.abc import Callable
@@ -27,6 +29,7 @@ class SensorFacts:
         config: The whole configuration.
         measure: The noise of a spectrum's training images; None where it has none.
         noisy: The spectra whose images counted as noisy when the run began. None: the run begins.
+        widths: How many times as wide as what most of a spectrum's values span its range is, at least 1.
     """
 
     def __init__(
@@ -34,9 +37,11 @@ class SensorFacts:
         config: TrainConfig,
         measure: Callable[[str], ImageNoise | None],
         noisy: tuple[str, ...] | None = None,
+        widths: Callable[[str], float] = lambda spectrum: 1.0,
     ) -> None:
         self.noise = cache(measure)
         """The noise of a spectrum's training images."""
+        self._widths = cache(widths)
         self.noisy = self._noisy(config) if noisy is None else noisy
         """The spectra whose images count as noisy, with ``--budget auto``."""
 
@@ -44,7 +49,9 @@ class SensorFacts:
         if config.budget != "auto":
             return ()
         return tuple(
-            name for name in config.modelled if (noise := self.noise(name)) is not None and noise.plain >= NOISY_IMAGES
+            name
+            for name in config.modelled
+            if (noise := self.noise(name)) is not None and noise.plain * self._widths(name) >= NOISY_IMAGES
         )
 
     def fitted(self, config: TrainConfig, *, blur_is_known: bool = False) -> tuple[TrainConfig, tuple[str, ...]]:
@@ -62,11 +69,13 @@ class SensorFacts:
             counts = asked.by_noise and (asked.loss > 1 or asked.smoothness > 0 or asked.point_spread > 0)
             if not counts or (noise := self.noise(name)) is None:
                 continue
-            spectra[name], said = by_noise(asked, noise.total, blur_is_known=blur_is_known)
+            width = self._widths(name)
+            spectra[name], said = by_noise(asked, width * noise.total, blur_is_known=blur_is_known)
             if said:
+                wide = f", which is {width:.1f} times as wide as what most values span" if width > 1 else ""
                 notes.append(
-                    f"Noise of the {label(name)} images {noise.total:.4f} of the range (pixels {noise.pixels:.4f}, "
-                    f"stripes {noise.stripes:.4f}): {', '.join(said)}."
+                    f"Noise of the {label(name)} images {noise.total:.4f} of the range{wide} (pixels "
+                    f"{noise.pixels:.4f}, stripes {noise.stripes:.4f}): {', '.join(said)}."
                 )
         return replace(config, spectra=spectra), tuple(notes)
 
@@ -81,7 +90,7 @@ def by_noise(
 
     Args:
         spectrum: The settings, which noise decides.
-        noise: Standard deviation, of the range 0 to 1.
+        noise: Standard deviation, of what most values span.
         blur_is_known: As of ``SensorFacts.fitted``.
     """
     share, said = min(noise / NOISY_SENSOR, 1.0), []
