@@ -1,20 +1,22 @@
 """Findings: parts of a scene that are warmer, or colder, than a reference.
 
-The reference of a pixel is the median of its surroundings in the same picture, or the mean of a measured area. What
-lies beyond it by more than a limit becomes regions of the scene (``thermography.hot_regions``). What stands out of such
-a region by as much, as a hot cell does of its warm module, becomes a region of its own. The numbers of a finding are
-those of the view that sees the most of it. Where most of its pixels must not be read there, as glass and chrome, it is
-none. What has the outline of a thing in the photograph is listed as a warm thing, not as a finding: of a car or a
-chimney the difference to other materials around it tells nothing (``reporting.outlines``).
+The reference of a pixel is the median of its like around it (``reporting.likes``), or the mean of a measured area. What
+lies beyond it by more than a limit in most views becomes regions of the scene (``thermography.hot_regions``). What
+stands out of such a region by as much, as a hot cell does of its warm module, becomes a region of its own. In the view
+that sees the most of it a region grows to where half of its difference is left: there it ends. It is no finding where
+little of that is beyond its own like: a road is, beside the lawn, and the road as a whole is not. Where most of its
+pixels must not be read, as glass and chrome, it is none either. What has nothing like it around it, as a car and a
+chimney have nothing, is compared with whatever surrounds it, and listed as a thing.
 """
 
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from thermosplat.reporting.outlines import Outlines, photographed
+from thermosplat.reporting.likes import Elements
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
@@ -34,12 +36,17 @@ LEAST_DEGREES = 1.0
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
-_FEWEST_PIXELS, _FEWEST_VIEWS = 9, 3
-"""Of a finding: 3x3 pixels, the least that a radiometric camera measures, and views that agree."""
+_FEWEST_PIXELS, _FEWEST_VIEWS, _LEAST_VIEWS = 9, 5, 0.5
+"""Of a finding: 3x3 pixels, the least that a radiometric camera measures, views that agree, and
+their share of those that see the place."""
 _ALIKE, _NEIGHBOURS = 1.4, 10
 """Times that the differences of parts of one pattern differ, and cells that lie between them."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
+_PEAK = 90
+"""Percentile of a region's differences that is its full one."""
+_LEAST_OWN = 1 / 3
+"""Share of a grown region that must stand out of its own like: of roads and lawns a tenth does."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -111,23 +118,48 @@ def find(
         UserError: There are no photographs to search by.
     """
     views = list(measurer.searched(spectrum, _WIDTH))
-    references = [surroundings(view) if reference is None else np.full_like(view.values, reference) for view in views]
+    elements = Elements(views, None if reference is not None else _photographs(measurer, views))
+    references = elements.references() if reference is None else [np.full(one.values.shape, reference) for one in views]
     sign = -1.0 if colder else 1.0
-    beyond = [sign * (view.values - around) for view, around in zip(views, references)]
     if limit is None:
-        apart = np.concatenate([np.abs(far[view.there]) for view, far in zip(views, beyond)] or [np.zeros(0)])
+        apart = np.concatenate([np.abs(view.values - around)[view.there] for view, around in zip(views, references)])
+        apart = apart[np.isfinite(apart)]
         usual = float(np.median(apart)) if len(apart) else 0.0
         limit = max(_TIMES_USUAL * 1.4826 * usual, least, 1e-6)
-    masks = [view.there & (far > limit) for view, far in zip(views, beyond)]
-    own = [_of_parts(view, mask) for view, mask in zip(views, masks)]
-    inner = [mask & (sign * (view.values - around) > limit) for view, mask, around in zip(views, masks, own)]
+
+    def beyond(of_each: list[Array]) -> list[NDArray[np.bool_]]:
+        far = [sign * (view.values - around) for view, around in zip(views, of_each)]
+        return [view.there & (np.nan_to_num(one, nan=-np.inf) > limit) for view, one in zip(views, far)]
+
+    def grown(of_each: list[Array]) -> list[NDArray[np.bool_]]:
+        masks = beyond(of_each)
+        return [_grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
+
     search = _Search(measurer, spectrum, views, colder)
-    for around, some in ((own, inner), (references, masks)) if reference is None else ((references, masks),):
-        search.add(some, around)
+    if reference is None:
+        masks = elements.agreed(grown(references))
+        own = [_of_parts(view, mask) for view, mask in zip(views, masks)]
+        search.add(elements.agreed(grown(own)), own, search.findings)
+        search.add(masks, references, search.findings)
+        others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
+        search.add(elements.agreed(beyond(others)), others, search.things)
+    else:
+        search.add(elements.agreed(beyond(references)), references, search.findings)
     found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
     things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
     more = max(0, len(found) - MOST_FINDINGS)
     return Found(tuple(found[:MOST_FINDINGS]), tuple(things[:MOST_FINDINGS]), limit, search.not_read, more)
+
+
+@torch.no_grad()
+def _photographs(measurer: Measurer, views: list[SearchedView]) -> list[NDArray[np.float32]] | None:
+    """Colours in [0, 1] of the scene's photographs in views of another spectrum, [H, W, 3]; None without any."""
+    scene = measurer.scene
+    name = next((name for name, scale in scene.scales.items() if scale.kind == "photograph"), None)
+    if name is None:
+        return None
+    rendered = (scene.model.render({name: one.view}, sh_degree=scene.sh_degree).images[name] for one in views)
+    return [image.clamp(0, 1).cpu().numpy() for image in rendered]
 
 
 class _Search:
@@ -143,23 +175,22 @@ class _Search:
     def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], colder: bool) -> None:
         self._measurer, self._spectrum, self._views, self._colder = measurer, spectrum, views, colder
         self._known: dict[int, Sure | None] = {}
-        self._outlines: dict[int, Outlines | None] = {}
         self.findings: list[Finding] = []
         self.things: list[Finding] = []
         self.not_read = 0
 
-    def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
+    def add(self, masks: list[NDArray[np.bool_]], references: list[Array], to: list[Finding]) -> None:
         """Find regions.
 
         Args:
-            masks: Pixels beyond the limit, of each view.
-            references: From what.
+            masks: Pixels of regions, of each view.
+            references: From what; NaN where nobody knows.
+            to: The list that they belong to.
         """
         cell = grid_cell(self._views)
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
-        known = list(self.findings)
-        fresh: list[Finding] = []
-        for region in find_regions(hot, cell, colder=self._colder):
+        known, fresh = list(to), list[Finding]()
+        for region in find_regions(hot, cell / 2, colder=self._colder):
             best = region.best_view
             view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
             inside = [
@@ -169,16 +200,23 @@ class _Search:
                 region.pixels < _FEWEST_PIXELS
                 or region.views < _FEWEST_VIEWS
                 or any(_holds(one.region, region) for one in inside)
+                or region.views < _LEAST_VIEWS * self._seeing(region)
             ):
                 continue
+            if not np.isfinite(references[best][pixels]).any():
+                continue
             sure = self._sure(best)
-            if not pixels.any() or must_not_be_read(sure, pixels):
+            if must_not_be_read(sure, pixels):
                 self.not_read += 1
                 continue
-            finding = _finding(region, view, pixels, references[best], sure)
-            outlines = self._outlines_of(best)
-            (self.things if outlines is not None and outlines.show(pixels) else fresh).append(finding)
-        self.findings += _patterns(fresh, _NEIGHBOURS * cell)
+            fresh.append(_finding(region, view, pixels, references[best], sure))
+        to += _patterns(fresh, _NEIGHBOURS * cell)
+
+    def _seeing(self, region: Region) -> int:
+        """Views that see a place."""
+        half = np.array(region.size) / 2
+        some = (np.abs(view.points[::2, ::2] - region.place)[view.there[::2, ::2]] for view in self._views)
+        return sum(bool((apart <= half).all(axis=-1).any()) for apart in some)
 
     def _sure(self, index: int) -> Sure | None:
         if index not in self._known:  # it takes a while, and many regions share a view
@@ -186,10 +224,29 @@ class _Search:
             self._known[index] = self._measurer.renderer.how_sure(layer, self._views[index].view)
         return self._known[index]
 
-    def _outlines_of(self, index: int) -> Outlines | None:
-        if index not in self._outlines:
-            self._outlines[index] = photographed(self._measurer.scene, self._views[index].view)
-        return self._outlines[index]
+
+def _point(values: Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _grown(seen: SearchedView, mask: NDArray[np.bool_], references: Array, sign: float) -> NDArray[np.bool_]:
+    """Each part of a mask [H, W] up to where half of its difference is left, without parts of larger surfaces."""
+    everything = np.zeros_like(mask)
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    far = np.nan_to_num(sign * (seen.values - references), nan=-np.inf)
+    for part in range(1, count):
+        pixels = labels == part
+        if sizes[part, cv2.CC_STAT_AREA] < _FEWEST_PIXELS or everything[pixels].all():
+            continue
+        half = float(np.percentile(far[pixels], _PEAK)) / 2
+        warm = seen.there & (sign * (seen.values - np.median(references[pixels])) > half)
+        of_pixel = cv2.connectedComponents(warm.astype(np.uint8), connectivity=4)[1]
+        touched = np.zeros(int(of_pixel.max()) + 1, bool)
+        touched[of_pixel[pixels & warm]] = True
+        whole = touched[of_pixel]
+        if (far[whole] > half).sum() >= _LEAST_OWN * whole.sum():
+            everything |= whole
+    return everything
 
 
 def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
@@ -205,22 +262,27 @@ def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
             apart = np.abs(np.subtract(one.region.place, other.region.place))
             sizes = (np.array(one.region.size) + other.region.size) / 2
             alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
-            if alike and (apart - sizes <= gap).all():
+            between = float(np.linalg.norm(np.maximum(apart - sizes, 0)))
+            narrow, wide = sorted((_width(one), _width(other)))
+            if alike and wide < 2 * narrow and wide / 2 <= between <= gap:
                 group = [group[i] if number == group[j] else number for number in group]
-    return [_joined([one for one, of in zip(findings, group) if of == number]) for number in dict.fromkeys(group)]
+    patterns = [[one for one, of in zip(findings, group) if of == number] for number in dict.fromkeys(group)]
+    return [one for some in patterns for one in ([_joined(some)] if len(some) > 1 else some)]
+
+
+def _width(finding: Finding) -> float:
+    """Mean width along its longest side [world units]."""
+    return finding.region.area / max(*finding.region.size, 1e-9)
 
 
 def _joined(parts: list[Finding]) -> Finding:
     """Parts of a pattern as one finding, with the numbers of the largest; place and extent are those of them all."""
     largest = max(parts, key=lambda one: one.region.area)
-    if len(parts) == 1:
-        return largest
     low, high = (
         np.array([np.add(one.region.place, sign * np.array(one.region.size) / 2) for one in parts]) for sign in (-1, 1)
     )
     ends = low.min(axis=0), high.max(axis=0)
-    middle, size = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
-    place, sides = ((float(v[0]), float(v[1]), float(v[2])) for v in (middle, size))
+    place, sides = _point((ends[0] + ends[1]) / 2), _point(ends[1] - ends[0])
     area = sum(one.region.area if one.area is None else one.area for one in parts)
     return replace(largest, region=replace(largest.region, place=place, size=sides), area=area)
 
@@ -298,7 +360,7 @@ def _finding(
         minimum=float(values.min()),
         maximum=float(values.max()),
         mean=float(values.mean()),
-        reference=float(np.median(references[pixels])),
+        reference=float(np.nanmedian(references[pixels])),
         uncertainty=_root_mean_square(sure.half_width[pixels]) if sure is not None else None,
         area=area_of((rows, columns), depth, seen.view.K.double().cpu().numpy()),
         doubts=() if sure is None else _bits(sure.doubts[pixels]),
