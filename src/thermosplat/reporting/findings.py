@@ -9,6 +9,7 @@ pixels must not be read, as glass and chrome, it is none either. What has nothin
 chimney have nothing, is compared with whatever surrounds it, and listed as a thing.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -43,6 +44,8 @@ _ALIKE, _NEIGHBOURS = 1.4, 10
 """Times that the differences of parts of one pattern differ, and cells that lie between them."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
+_LARGE_PART = 0.25
+"""Share of a region's pixels from which on a part of it is a finding of its own."""
 _PEAK = 90
 """Percentile of a region's differences that is its full one."""
 _LEAST_OWN = 1 / 3
@@ -93,6 +96,8 @@ class Found:
     """Regions that were left out, as they must not be read."""
     more: int
     """Regions beyond the most that a report lists."""
+    views: tuple[SearchedView, ...] = ()
+    """In which they were looked for."""
 
 
 def find(
@@ -148,7 +153,8 @@ def find(
     found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
     things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
     more = max(0, len(found) - MOST_FINDINGS)
-    return Found(tuple(found[:MOST_FINDINGS]), tuple(things[:MOST_FINDINGS]), limit, search.not_read, more)
+    listed, others = (tuple(some[:MOST_FINDINGS]) for some in (found, things))
+    return Found(listed, others, limit, search.not_read, more, tuple(views))
 
 
 @torch.no_grad()
@@ -190,7 +196,7 @@ class _Search:
         cell = grid_cell(self._views)
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
         known, fresh = list(to), list[Finding]()
-        for region in find_regions(hot, cell / 2, colder=self._colder):
+        for region in find_regions(hot, 0.75 * cell, colder=self._colder):
             best = region.best_view
             view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
             inside = [
@@ -209,7 +215,7 @@ class _Search:
             if must_not_be_read(sure, pixels):
                 self.not_read += 1
                 continue
-            fresh.append(_finding(region, view, pixels, references[best], sure))
+            fresh += [_finding(one, view, part, references[best], sure) for one, part in _parts(region, view, pixels)]
         to += _patterns(fresh, _NEIGHBOURS * cell)
 
     def _seeing(self, region: Region) -> int:
@@ -223,6 +229,21 @@ class _Search:
             layer = Layer("image", self._spectrum)
             self._known[index] = self._measurer.renderer.how_sure(layer, self._views[index].view)
         return self._known[index]
+
+
+def _parts(region: Region, seen: SearchedView, pixels: NDArray[np.bool_]) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
+    """A region; each of its large parts where the view that sees the most of it shows gaps, as between two modules."""
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(pixels.astype(np.uint8), connectivity=4)
+    shares = sizes[:, cv2.CC_STAT_AREA] / pixels.sum()
+    large = [part for part in range(1, count) if shares[part] >= _LARGE_PART]
+    if len(large) < 2:
+        yield region, pixels
+        return
+    for part in large:
+        mine = labels == part
+        low, high = np.percentile(seen.points[mine], (2, 98), axis=0)
+        area = float(shares[part]) * region.area
+        yield replace(region, place=_point((low + high) / 2), size=_point(high - low), area=area), mine
 
 
 def _point(values: Array) -> tuple[float, float, float]:
@@ -263,8 +284,7 @@ def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
             sizes = (np.array(one.region.size) + other.region.size) / 2
             alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
             between = float(np.linalg.norm(np.maximum(apart - sizes, 0)))
-            narrow, wide = sorted((_width(one), _width(other)))
-            if alike and wide < 2 * narrow and wide / 2 <= between <= gap:
+            if alike and between <= gap and not 0 < between < min(_width(one), _width(other)) / 2:
                 group = [group[i] if number == group[j] else number for number in group]
     patterns = [[one for one, of in zip(findings, group) if of == number] for number in dict.fromkeys(group)]
     return [one for some in patterns for one in ([_joined(some)] if len(some) > 1 else some)]

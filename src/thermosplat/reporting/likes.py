@@ -90,7 +90,7 @@ class Elements:
         places, values = self._places[self._sound], self._values[self._sound]
         middle = places.mean(axis=0)
         x, t = (places - middle).astype(np.float32), values.astype(np.float32)
-        colors, normals = self._colors[self._sound], _normals(places - middle, self._radius / 16)
+        colors, normals = self._colors[self._sound], _normals(places - middle, max(self._radius / 16, 2 * self._cell))
         order = np.random.default_rng(0).permutation(len(x))
         samples = order[np.unique(_keys(places[order], self._radius / _SAMPLES), return_index=True)[1]]
         blocks = np.floor((x - x.min(axis=0)) / (self._radius / 2)).astype(np.int64)
