@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -63,7 +64,8 @@ def _classes(measurer: Measurer, spectrum: str, view: SearchedView) -> Iterator[
         labels = made.labels[spectrum].seen_in(view.view, depth)
         for label, surface in made.recalculation.surfaces.items():
             yield surface.name, labels == label
-    for name, formation in scene.model.formations.items():
+    formations: dict[str, Any] = dict(scene.model.formations.items())
+    for name, formation in formations.items():
         if classes := getattr(formation, "classes", ()):
             image = scene.model.render({name: view.view}, sh_degree=scene.sh_degree).images[name]
             numbers = formation.classes_in(image).cpu().numpy()

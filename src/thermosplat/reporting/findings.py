@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from thermosplat.reporting.likes import Elements
+from thermosplat.reporting.warm_parts import FEWEST_PIXELS, grown, of_parts, surroundings
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
@@ -27,29 +28,22 @@ from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 Array = NDArray[np.float64]
 MOST_FINDINGS = 60
 """Of a report, the farthest from the reference first."""
-_SURROUNDINGS = 1 / 3
-"""Side of a pixel's surroundings, as a share of the picture's shorter side: a finding fills less than half of it."""
-_LEVELS = 255
-"""That the values are sorted into for their median, which OpenCV finds in large windows of 8 bits alone."""
 _TIMES_USUAL = 4.0
 """Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
 LEAST_DEGREES = 1.0
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
-_FEWEST_PIXELS, _FEWEST_VIEWS, _LEAST_VIEWS = 9, 5, 0.5
-"""Of a finding: 3x3 pixels, the least that a radiometric camera measures, views that agree, and
-their share of those that see the place."""
+_FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
+"""Of a finding: views that agree, and their share of those that see the place."""
 _ALIKE, _NEIGHBOURS = 1.4, 10
 """Times that the differences of parts of one pattern differ, and cells that lie between them."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
-_LARGE_PART = 0.25
-"""Share of a region's pixels from which on a part of it is a finding of its own."""
-_PEAK = 90
-"""Percentile of a region's differences that is its full one."""
-_LEAST_OWN = 1 / 3
-"""Share of a grown region that must stand out of its own like: of roads and lawns a tenth does."""
+_STEP = 0.55
+"""Of the cells that connect pixels to regions, as a share of the grid's: little more than a pixel."""
+_LARGE_PART, _COMPACT = 0.25, 0.3
+"""Share of a region's pixels, and of the square of its own length, from which on a part is a finding of its own."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -136,15 +130,15 @@ def find(
         far = [sign * (view.values - around) for view, around in zip(views, of_each)]
         return [view.there & (np.nan_to_num(one, nan=-np.inf) > limit) for view, one in zip(views, far)]
 
-    def grown(of_each: list[Array]) -> list[NDArray[np.bool_]]:
+    def regions_of(of_each: list[Array]) -> list[NDArray[np.bool_]]:
         masks = beyond(of_each)
-        return [_grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
+        return [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
 
     search = _Search(measurer, spectrum, views, colder)
     if reference is None:
-        masks = elements.agreed(grown(references))
-        own = [_of_parts(view, mask) for view, mask in zip(views, masks)]
-        search.add(elements.agreed(grown(own)), own, search.findings)
+        masks = elements.agreed(regions_of(references))
+        own = [of_parts(view, mask) for view, mask in zip(views, masks)]
+        search.add(elements.agreed(regions_of(own)), own, search.findings)
         search.add(masks, references, search.findings)
         others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
         search.add(elements.agreed(beyond(others)), others, search.things)
@@ -153,8 +147,8 @@ def find(
     found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
     things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
     more = max(0, len(found) - MOST_FINDINGS)
-    listed, others = (tuple(some[:MOST_FINDINGS]) for some in (found, things))
-    return Found(listed, others, limit, search.not_read, more, tuple(views))
+    listed, beside = (tuple(some[:MOST_FINDINGS]) for some in (found, things))
+    return Found(listed, beside, limit, search.not_read, more, tuple(views))
 
 
 @torch.no_grad()
@@ -196,14 +190,14 @@ class _Search:
         cell = grid_cell(self._views)
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
         known, fresh = list(to), list[Finding]()
-        for region in find_regions(hot, 0.75 * cell, colder=self._colder):
+        for region in find_regions(hot, _STEP * cell, colder=self._colder):
             best = region.best_view
             view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
             inside = [
                 one for one in known if (np.abs(np.subtract(one.region.place, region.place)) <= region.size).all()
             ]
             if (
-                region.pixels < _FEWEST_PIXELS
+                region.pixels < FEWEST_PIXELS
                 or region.views < _FEWEST_VIEWS
                 or any(_holds(one.region, region) for one in inside)
                 or region.views < _LEAST_VIEWS * self._seeing(region)
@@ -232,10 +226,12 @@ class _Search:
 
 
 def _parts(region: Region, seen: SearchedView, pixels: NDArray[np.bool_]) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
-    """A region; each of its large parts where the view that sees the most of it shows gaps, as between two modules."""
+    """A region; its large parts that are compact, if the view shows some of them with gaps, as two modules have."""
     count, labels, sizes, _ = cv2.connectedComponentsWithStats(pixels.astype(np.uint8), connectivity=4)
     shares = sizes[:, cv2.CC_STAT_AREA] / pixels.sum()
-    large = [part for part in range(1, count) if shares[part] >= _LARGE_PART]
+    longest = sizes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    compact = sizes[:, cv2.CC_STAT_AREA] >= _COMPACT * longest**2
+    large = [part for part in range(1, count) if shares[part] >= _LARGE_PART and compact[part]]
     if len(large) < 2:
         yield region, pixels
         return
@@ -248,26 +244,6 @@ def _parts(region: Region, seen: SearchedView, pixels: NDArray[np.bool_]) -> Ite
 
 def _point(values: Array) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
-
-
-def _grown(seen: SearchedView, mask: NDArray[np.bool_], references: Array, sign: float) -> NDArray[np.bool_]:
-    """Each part of a mask [H, W] up to where half of its difference is left, without parts of larger surfaces."""
-    everything = np.zeros_like(mask)
-    count, labels, sizes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    far = np.nan_to_num(sign * (seen.values - references), nan=-np.inf)
-    for part in range(1, count):
-        pixels = labels == part
-        if sizes[part, cv2.CC_STAT_AREA] < _FEWEST_PIXELS or everything[pixels].all():
-            continue
-        half = float(np.percentile(far[pixels], _PEAK)) / 2
-        warm = seen.there & (sign * (seen.values - np.median(references[pixels])) > half)
-        of_pixel = cv2.connectedComponents(warm.astype(np.uint8), connectivity=4)[1]
-        touched = np.zeros(int(of_pixel.max()) + 1, bool)
-        touched[of_pixel[pixels & warm]] = True
-        whole = touched[of_pixel]
-        if (far[whole] > half).sum() >= _LEAST_OWN * whole.sum():
-            everything |= whole
-    return everything
 
 
 def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
@@ -310,34 +286,6 @@ def _joined(parts: list[Finding]) -> Finding:
 def _holds(one: Region, other: Region) -> bool:
     """Whether a region is most of another one that holds it."""
     return one.area >= _MOST_OF * other.area
-
-
-def _of_parts(seen: SearchedView, mask: NDArray[np.bool_]) -> Array:
-    """The median of each part of a mask, in all of its pixels, [H, W]."""
-    of_each = np.array(seen.values)
-    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
-    for part in range(1, count):
-        mine = parts == part
-        of_each[mine] = np.median(seen.values[mine])
-    return of_each
-
-
-def surroundings(seen: SearchedView) -> Array:
-    """The median of each pixel's surroundings, [H, W].
-
-    Args:
-        seen: The view.
-    """
-    values, there = seen.values, seen.there
-    if not there.any():
-        return np.zeros_like(values)
-    low, high = np.percentile(values[there], (0.5, 99.5))
-    step = max(float(high - low), 1e-9) / _LEVELS
-    filled = np.where(there, values, np.median(values[there]))
-    levels = np.rint(np.clip((filled - low) / step, 0, _LEVELS)).astype(np.uint8)
-    window = 2 * max(1, round(_SURROUNDINGS * min(values.shape) / 2)) + 1
-    median: Array = low + step * cv2.medianBlur(levels, window).astype(np.float64)
-    return median
 
 
 def must_not_be_read(sure: Sure | None, pixels: NDArray[np.bool_]) -> bool:

@@ -122,6 +122,8 @@ class Elements:
 
 def _keys(points: Array, cell: float) -> NDArray[np.int64]:
     """A number for each point's cell."""
+    if len(points) == 0:
+        return np.zeros(0, np.int64)
     return _flat(np.floor((points - points.min(axis=0)) / cell).astype(np.int64))
 
 

@@ -76,10 +76,10 @@ _TEXTS = {
     "no_findings": ("Nothing lies beyond the limit.", "Nichts liegt jenseits der Grenze."),
     "things": ("Things that have nothing like them around", "Dinge ohne ihresgleichen in der Umgebung"),
     "about_things": (
-        "They differ as much from what is around them, but nothing there is the same surface of the same colour: another "
-        "material, warmed by the sun or by its use. Compare each with its like.",
-        "Sie weichen ebenso von ihrer Umgebung ab, aber nichts dort ist dieselbe Fläche in derselben Farbe: ein anderes "
-        "Material, erwärmt von der Sonne oder vom Gebrauch. Vergleichen Sie jedes mit seinesgleichen.",
+        "They differ as much from what is around them, but nothing there is the same surface of the same colour: "
+        "another material, warmed by the sun or by its use. Compare each with its like.",
+        "Sie weichen ebenso von ihrer Umgebung ab, aber nichts dort ist dieselbe Fläche in derselben Farbe: ein "
+        "anderes Material, erwärmt von der Sonne oder vom Gebrauch. Vergleichen Sie jedes mit seinesgleichen.",
     ),
     "classes": ("Classes of the label images", "Klassen der Label-Bilder"),
     "about_classes": (
