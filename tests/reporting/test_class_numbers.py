@@ -8,6 +8,7 @@ import torch
 
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.reporting.class_numbers import class_numbers
+from thermosplat.scene.formations.labels import LabelFormation
 from thermosplat.viewer.measuring import SearchedView
 
 
@@ -16,6 +17,17 @@ def _view(values: np.ndarray) -> SearchedView:
     view = ViewTensors(torch.eye(4), K, values.shape[1], values.shape[0])
     frame: Any = SimpleNamespace(name="a")
     return SearchedView(frame, view, values, np.full(values.shape, 2.0), np.zeros((*values.shape, 3)))
+
+
+class SidesLabels(LabelFormation):
+    """Labels whose classes are the left and the right half, whatever is rendered."""
+
+    def __init__(self) -> None:
+        torch.nn.Module.__init__(self)
+        self.classes = ("left", "right")
+
+    def classes_in(self, image: torch.Tensor) -> torch.Tensor:
+        return image
 
 
 def test_each_class_has_its_numbers() -> None:
@@ -30,7 +42,8 @@ def test_each_class_has_its_numbers() -> None:
         sh_degree=0,
         model=SimpleNamespace(
             placement=SimpleNamespace(unit=1.0),
-            formations={"labels": SimpleNamespace(classes=("left", "right"), classes_in=lambda image: shown)},
+            spectra=("thermal", "labels"),
+            formations={"thermal": None, "labels": SidesLabels()},
             render=lambda views, sh_degree: SimpleNamespace(images={"labels": shown}),
         ),
     )

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from thermosplat.scene.formations.labels import LabelFormation
 from thermosplat.viewer.measuring import Measurer, SearchedView
 
 _FEWEST_PIXELS = 9
@@ -64,10 +64,9 @@ def _classes(measurer: Measurer, spectrum: str, view: SearchedView) -> Iterator[
         labels = made.labels[spectrum].seen_in(view.view, depth)
         for label, surface in made.recalculation.surfaces.items():
             yield surface.name, labels == label
-    formations: dict[str, Any] = dict(scene.model.formations.items())
-    for name, formation in formations.items():
-        if classes := getattr(formation, "classes", ()):
+    for name in scene.model.spectra:
+        if isinstance(formation := scene.model.formations[name], LabelFormation):
             image = scene.model.render({name: view.view}, sh_degree=scene.sh_degree).images[name]
             numbers = formation.classes_in(image).cpu().numpy()
-            for number, title in enumerate(classes):
+            for number, title in enumerate(formation.classes):
                 yield title, numbers == number
