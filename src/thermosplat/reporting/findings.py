@@ -22,6 +22,7 @@ from thermosplat.reporting.warm_parts import FEWEST_PIXELS, grown, of_parts, sur
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
+from thermosplat.thermography.reprojection import resized
 from thermosplat.viewer.layers import Layer
 from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 
@@ -158,8 +159,12 @@ def _photographs(measurer: Measurer, views: list[SearchedView]) -> list[NDArray[
     name = next((name for name, scale in scene.scales.items() if scale.kind == "photograph"), None)
     if name is None:
         return None
-    rendered = (scene.model.render({name: one.view}, sh_degree=scene.sh_degree).images[name] for one in views)
-    return [image.clamp(0, 1).cpu().numpy() for image in rendered]
+    colors = []
+    for view in (one.view for one in views):
+        half = resized(view, -(-view.width // 2), -(-view.height // 2))  # elements have two pixels
+        image = scene.model.render({name: half}, sh_degree=scene.sh_degree).images[name].clamp(0, 1)
+        colors.append(cv2.resize(image.cpu().numpy(), (view.width, view.height)))
+    return colors
 
 
 class _Search:
