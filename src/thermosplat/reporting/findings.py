@@ -43,8 +43,10 @@ _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
 _STEP = 0.55
 """Of the cells that connect pixels to regions, as a share of the grid's: little more than a pixel."""
-_LARGE_PART, _COMPACT = 0.25, 0.3
+_LARGE_PART, _COMPACT = 0.25, 0.45
 """Share of a region's pixels, and of the square of its own length, from which on a part is a finding of its own."""
+_ALONE = 0.75
+"""Share of the square of its length from which on a region is no part of a pattern: of rafters it is the half."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -265,15 +267,15 @@ def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
             sizes = (np.array(one.region.size) + other.region.size) / 2
             alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
             between = float(np.linalg.norm(np.maximum(apart - sizes, 0)))
-            if alike and between <= gap and not 0 < between < min(_width(one), _width(other)) / 2:
+            if alike and between <= gap and not (_is_compact(one.region) or _is_compact(other.region)):
                 group = [group[i] if number == group[j] else number for number in group]
     patterns = [[one for one, of in zip(findings, group) if of == number] for number in dict.fromkeys(group)]
     return [one for some in patterns for one in ([_joined(some)] if len(some) > 1 else some)]
 
 
-def _width(finding: Finding) -> float:
-    """Mean width along its longest side [world units]."""
-    return finding.region.area / max(*finding.region.size, 1e-9)
+def _is_compact(region: Region) -> bool:
+    """Whether it is a thing of its own, as a module is, and no part of a pattern."""
+    return region.area >= _ALONE * max(region.size) ** 2
 
 
 def _joined(parts: list[Finding]) -> Finding:
