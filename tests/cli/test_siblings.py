@@ -323,7 +323,7 @@ def test_maps_of_a_capture_with_gps(run: Run, finished: Path, tmp_path: Path) ->
     assert found[1]["crs"].linear_units == "metre"
     np.testing.assert_allclose(found[1]["bounds"], (west, south, west + 6, south + 6), atol=1e-6)
     there = np.isfinite(expected) & np.isfinite(seen)
-    assert there.sum() > 50  # a scene of a few steps covers little
+    assert there.sum() > 20  # a scene of a few steps covers little
     assert np.isfinite(expected).sum() - there.sum() < 5
     assert expected[there].std() > 0.05
     np.testing.assert_allclose(seen[there], expected[there], atol=0.01)

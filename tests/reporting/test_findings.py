@@ -10,7 +10,6 @@ import torch
 from thermosplat.datasets.frame_tensors import ViewTensors
 from thermosplat.reporting import findings
 from thermosplat.reporting.findings import find, normalised
-from thermosplat.reporting.outlines import Outlines
 from thermosplat.thermography.certainty import REFLECTING, SMALL, Sure
 from thermosplat.viewer.measuring import SearchedView
 
@@ -18,13 +17,13 @@ HEIGHT, WIDTH = 60, 80
 
 
 def _measurer(values: np.ndarray, doubts: int = 0) -> Any:
-    """Of a wall at z = 2 that three views see from the same place, without photographs."""
+    """Of a wall at z = 2 that five views see from the same place, without photographs."""
     K = torch.tensor([[80.0, 0, WIDTH / 2], [0, 80.0, HEIGHT / 2], [0, 0, 1]])
     view = ViewTensors(torch.eye(4), K, WIDTH, HEIGHT)
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
     depth = np.full(values.shape, 2.0)
     points = np.stack([x / 40, y / 40, depth], axis=-1)
-    frames = [SimpleNamespace(name=name) for name in "abc"]
+    frames = [SimpleNamespace(name=name) for name in "abcde"]
     seen = [SearchedView(frame, view, values, depth, points) for frame in frames]
     sure = Sure(np.full(values.shape, 0.3), np.full(values.shape, doubts, np.uint8))
     return SimpleNamespace(
@@ -98,13 +97,35 @@ def test_parts_of_a_pattern_are_one_finding() -> None:
 
 
 @pytest.mark.parametrize(("changes", "things"), [(0.3, 1), (0.01, 0)])
-def test_things_have_outlines_in_the_photograph(monkeypatch: pytest.MonkeyPatch, changes: float, things: int) -> None:
-    """A warm car is listed beside the findings; heat under paint of one colour is a finding."""
-    photograph = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
-    photograph[20:28, 30:40] += changes
-    monkeypatch.setattr(findings, "photographed", lambda scene, view: Outlines(photograph))
-    found = find(_measurer(_wall(5.0)), "thermal", limit=2.0)
+def test_things_are_alone_of_their_colour(monkeypatch: pytest.MonkeyPatch, changes: float, things: int) -> None:
+    """A warm chimney is listed beside the findings; heat under paint of one colour is a finding."""
+    values, photograph = _wall(0.0), np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    values[20:26, 30:36] += 5.0
+    photograph[20:26, 30:36] += changes
+    monkeypatch.setattr(findings, "_photographs", lambda measurer, views: [photograph] * len(views))
+    found = find(_measurer(values), "thermal", limit=2.0)
     assert (len(found.things), len(found.findings)) == (things, 1 - things)
+
+
+@pytest.mark.parametrize("spot", [0.0, 4.0])
+def test_a_surface_is_compared_with_its_like(monkeypatch: pytest.MonkeyPatch, spot: float) -> None:
+    """A warm strip of another colour is none beside a cold one, and a spot on it is one against the strip alone."""
+    values, photograph = _wall(0.0), np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    values[:, 30:60] += 6.0
+    photograph[:, 30:60] += 0.2
+    values[20:28, 40:50] += spot
+    monkeypatch.setattr(findings, "_photographs", lambda measurer, views: [photograph] * len(views))
+    found = find(_measurer(values), "thermal", limit=2.0).findings
+    assert [round(one.difference) for one in found] == [4] * bool(spot)
+
+
+def test_a_region_ends_where_half_of_its_difference_is_left() -> None:
+    """A spot that fades out has the area of its half width, not that of all that is beyond the limit."""
+    x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    apart = ((x - 40) ** 2 + (y - 30) ** 2) / (2 * 3.0**2)
+    one = find(_measurer(_wall(0.0) + 20 * np.exp(-apart)), "thermal", limit=1.0).findings[0]
+    beyond_half, beyond_limit = (2 * np.pi * np.log(ratio) * 9 / 40**2 for ratio in (2, 20))
+    assert beyond_half <= one.area < beyond_limit / 3
 
 
 def test_few_pixels_and_few_views_are_none() -> None:

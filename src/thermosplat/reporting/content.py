@@ -10,6 +10,7 @@ import numpy as np
 from thermosplat.datasets.capture import Capture
 from thermosplat.reporting.blocks import Block, Facts, Heading, Paragraph, Picture, Table
 from thermosplat.reporting.changes import changes_since
+from thermosplat.reporting.class_numbers import class_numbers
 from thermosplat.reporting.drawings import in_all_spectra, map_frame, plan
 from thermosplat.reporting.findings import Finding, Found, normalised
 from thermosplat.reporting.report_file import Entry, ReportFile
@@ -74,7 +75,7 @@ class Report:
 
 def blocks_of(report: Report) -> list[Block]:
     """The report from its first page to its last."""
-    parts = (_first_page, _plan, _findings, _things, _changes, _measurements, _photovoltaics, _form)
+    parts = (_first_page, _plan, _findings, _things, _changes, _classes, _measurements, _photovoltaics, _form)
     return [block for part in parts for block in part(report)]
 
 
@@ -188,6 +189,20 @@ def _changes(report: Report) -> Iterator[Block]:
         yield from changes_since(*report.compared, report.words)
 
 
+def _classes(report: Report) -> Iterator[Block]:
+    words = report.words
+    found = class_numbers(report.measurer, report.spectrum, report.found.views)
+    if not found:
+        return
+    yield Heading(words["classes"], new_page=True)
+    yield Paragraph(words["about_classes"])
+    rows = [
+        (one.name, _square(report, one.area), *map(report.value, (one.minimum, one.mean, one.maximum)), str(one.views))
+        for one in found
+    ]
+    yield Table([words[name] for name in ("class_name", "area", "minimum", "mean", "maximum", "views")], rows)
+
+
 def _numbers(report: Report, one: Finding) -> tuple[str, ...]:
     """The extreme, mean, difference and area of a finding."""
     extreme = one.minimum if report.colder else one.maximum
@@ -290,7 +305,11 @@ def _corrections(report: Report) -> str:
 
 
 def _area(report: Report, one: Finding) -> str:
-    area = one.region.area if one.area is None else one.area
+    return _square(report, one.region.area if one.area is None else one.area)
+
+
+def _square(report: Report, area: float) -> str:
+    """An area [world units²]."""
     if report.metres:
         return f"{report.words.formatted(area * report.metres**2, '.3g')} m²"
     return f"{report.words.formatted(area, '.3g')} ({report.words['world_units']})²"

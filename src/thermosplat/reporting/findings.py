@@ -1,45 +1,52 @@
 """Findings: parts of a scene that are warmer, or colder, than a reference.
 
-The reference of a pixel is the median of its surroundings in the same picture, or the mean of a measured area. What
-lies beyond it by more than a limit becomes regions of the scene (``thermography.hot_regions``). What stands out of such
-a region by as much, as a hot cell does of its warm module, becomes a region of its own. The numbers of a finding are
-those of the view that sees the most of it. Where most of its pixels must not be read there, as glass and chrome, it is
-none. What has the outline of a thing in the photograph is listed as a warm thing, not as a finding: of a car or a
-chimney the difference to other materials around it tells nothing (``reporting.outlines``).
+The reference of a pixel is the median of its like around it (``reporting.likes``), or the mean of a measured area. What
+lies beyond it by more than a limit in most views becomes regions of the scene (``thermography.hot_regions``). What
+stands out of such a region by as much, as a hot cell does of its warm module, becomes a region of its own. In the view
+that sees the most of it a region grows to where half of its difference is left: there it ends. It is no finding where
+little of that is beyond its own like: a road is, beside the lawn, and the road as a whole is not. Where most of its
+pixels must not be read, as glass and chrome, it is none either. What has nothing like it around it, as a car and a
+chimney have nothing, is compared with whatever surrounds it, and listed as a thing.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from thermosplat.reporting.outlines import Outlines, photographed
+from thermosplat.reporting.likes import Elements
+from thermosplat.reporting.warm_parts import FEWEST_PIXELS, grown, of_parts, surroundings
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
+from thermosplat.thermography.reprojection import resized
 from thermosplat.viewer.layers import Layer
 from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 
 Array = NDArray[np.float64]
 MOST_FINDINGS = 60
 """Of a report, the farthest from the reference first."""
-_SURROUNDINGS = 1 / 3
-"""Side of a pixel's surroundings, as a share of the picture's shorter side: a finding fills less than half of it."""
-_LEVELS = 255
-"""That the values are sorted into for their median, which OpenCV finds in large windows of 8 bits alone."""
 _TIMES_USUAL = 4.0
 """Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
 LEAST_DEGREES = 1.0
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
-_FEWEST_PIXELS, _FEWEST_VIEWS = 9, 3
-"""Of a finding: 3x3 pixels, the least that a radiometric camera measures, and views that agree."""
+_FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
+"""Of a finding: views that agree, and their share of those that see the place."""
 _ALIKE, _NEIGHBOURS = 1.4, 10
 """Times that the differences of parts of one pattern differ, and cells that lie between them."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
+_STEP = 0.55
+"""Of the cells that connect pixels to regions, as a share of the grid's: little more than a pixel."""
+_LARGE_PART, _COMPACT = 0.25, 0.45
+"""Share of a region's pixels, and of the square of its own length, from which on a part is a finding of its own."""
+_ALONE = 0.75
+"""Share of the square of its length from which on a region is no part of a pattern: of rafters it is the half."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -86,6 +93,8 @@ class Found:
     """Regions that were left out, as they must not be read."""
     more: int
     """Regions beyond the most that a report lists."""
+    views: tuple[SearchedView, ...] = ()
+    """In which they were looked for."""
 
 
 def find(
@@ -111,23 +120,53 @@ def find(
         UserError: There are no photographs to search by.
     """
     views = list(measurer.searched(spectrum, _WIDTH))
-    references = [surroundings(view) if reference is None else np.full_like(view.values, reference) for view in views]
+    elements = Elements(views, None if reference is not None else _photographs(measurer, views))
+    references = elements.references() if reference is None else [np.full(one.values.shape, reference) for one in views]
     sign = -1.0 if colder else 1.0
-    beyond = [sign * (view.values - around) for view, around in zip(views, references)]
     if limit is None:
-        apart = np.concatenate([np.abs(far[view.there]) for view, far in zip(views, beyond)] or [np.zeros(0)])
+        apart = np.concatenate([np.abs(view.values - around)[view.there] for view, around in zip(views, references)])
+        apart = apart[np.isfinite(apart)]
         usual = float(np.median(apart)) if len(apart) else 0.0
         limit = max(_TIMES_USUAL * 1.4826 * usual, least, 1e-6)
-    masks = [view.there & (far > limit) for view, far in zip(views, beyond)]
-    own = [_of_parts(view, mask) for view, mask in zip(views, masks)]
-    inner = [mask & (sign * (view.values - around) > limit) for view, mask, around in zip(views, masks, own)]
+
+    def beyond(of_each: list[Array]) -> list[NDArray[np.bool_]]:
+        far = [sign * (view.values - around) for view, around in zip(views, of_each)]
+        return [view.there & (np.nan_to_num(one, nan=-np.inf) > limit) for view, one in zip(views, far)]
+
+    def regions_of(of_each: list[Array]) -> list[NDArray[np.bool_]]:
+        masks = beyond(of_each)
+        return [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
+
     search = _Search(measurer, spectrum, views, colder)
-    for around, some in ((own, inner), (references, masks)) if reference is None else ((references, masks),):
-        search.add(some, around)
+    if reference is None:
+        masks = elements.agreed(regions_of(references))
+        own = [of_parts(view, mask) for view, mask in zip(views, masks)]
+        search.add(elements.agreed(regions_of(own)), own, search.findings)
+        search.add(masks, references, search.findings)
+        others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
+        search.add(elements.agreed(beyond(others)), others, search.things)
+    else:
+        search.add(elements.agreed(beyond(references)), references, search.findings)
     found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
     things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
     more = max(0, len(found) - MOST_FINDINGS)
-    return Found(tuple(found[:MOST_FINDINGS]), tuple(things[:MOST_FINDINGS]), limit, search.not_read, more)
+    listed, beside = (tuple(some[:MOST_FINDINGS]) for some in (found, things))
+    return Found(listed, beside, limit, search.not_read, more, tuple(views))
+
+
+@torch.no_grad()
+def _photographs(measurer: Measurer, views: list[SearchedView]) -> list[NDArray[np.float32]] | None:
+    """Colours in [0, 1] of the scene's photographs in views of another spectrum, [H, W, 3]; None without any."""
+    scene = measurer.scene
+    name = next((name for name, scale in scene.scales.items() if scale.kind == "photograph"), None)
+    if name is None:
+        return None
+    colors = []
+    for view in (one.view for one in views):
+        half = resized(view, -(-view.width // 2), -(-view.height // 2))  # elements have two pixels
+        image = scene.model.render({name: half}, sh_degree=scene.sh_degree).images[name].clamp(0, 1)
+        colors.append(cv2.resize(image.cpu().numpy(), (view.width, view.height)))
+    return colors
 
 
 class _Search:
@@ -143,42 +182,48 @@ class _Search:
     def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], colder: bool) -> None:
         self._measurer, self._spectrum, self._views, self._colder = measurer, spectrum, views, colder
         self._known: dict[int, Sure | None] = {}
-        self._outlines: dict[int, Outlines | None] = {}
         self.findings: list[Finding] = []
         self.things: list[Finding] = []
         self.not_read = 0
 
-    def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
+    def add(self, masks: list[NDArray[np.bool_]], references: list[Array], to: list[Finding]) -> None:
         """Find regions.
 
         Args:
-            masks: Pixels beyond the limit, of each view.
-            references: From what.
+            masks: Pixels of regions, of each view.
+            references: From what; NaN where nobody knows.
+            to: The list that they belong to.
         """
         cell = grid_cell(self._views)
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
-        known = list(self.findings)
-        fresh: list[Finding] = []
-        for region in find_regions(hot, cell, colder=self._colder):
+        known, fresh = list(to), list[Finding]()
+        for region in find_regions(hot, _STEP * cell, colder=self._colder):
             best = region.best_view
             view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
             inside = [
                 one for one in known if (np.abs(np.subtract(one.region.place, region.place)) <= region.size).all()
             ]
             if (
-                region.pixels < _FEWEST_PIXELS
+                region.pixels < FEWEST_PIXELS
                 or region.views < _FEWEST_VIEWS
                 or any(_holds(one.region, region) for one in inside)
+                or region.views < _LEAST_VIEWS * self._seeing(region)
             ):
                 continue
+            if not np.isfinite(references[best][pixels]).any():
+                continue
             sure = self._sure(best)
-            if not pixels.any() or must_not_be_read(sure, pixels):
+            if must_not_be_read(sure, pixels):
                 self.not_read += 1
                 continue
-            finding = _finding(region, view, pixels, references[best], sure)
-            outlines = self._outlines_of(best)
-            (self.things if outlines is not None and outlines.show(pixels) else fresh).append(finding)
-        self.findings += _patterns(fresh, _NEIGHBOURS * cell)
+            fresh += [_finding(one, view, part, references[best], sure) for one, part in _parts(region, view, pixels)]
+        to += _patterns(fresh, _NEIGHBOURS * cell)
+
+    def _seeing(self, region: Region) -> int:
+        """Views that see a place."""
+        half = np.array(region.size) / 2
+        some = (np.abs(view.points[::2, ::2] - region.place)[view.there[::2, ::2]] for view in self._views)
+        return sum(bool((apart <= half).all(axis=-1).any()) for apart in some)
 
     def _sure(self, index: int) -> Sure | None:
         if index not in self._known:  # it takes a while, and many regions share a view
@@ -186,10 +231,26 @@ class _Search:
             self._known[index] = self._measurer.renderer.how_sure(layer, self._views[index].view)
         return self._known[index]
 
-    def _outlines_of(self, index: int) -> Outlines | None:
-        if index not in self._outlines:
-            self._outlines[index] = photographed(self._measurer.scene, self._views[index].view)
-        return self._outlines[index]
+
+def _parts(region: Region, seen: SearchedView, pixels: NDArray[np.bool_]) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
+    """A region; its large parts that are compact, if the view shows some of them with gaps, as two modules have."""
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(pixels.astype(np.uint8), connectivity=4)
+    shares = sizes[:, cv2.CC_STAT_AREA] / pixels.sum()
+    longest = sizes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    compact = sizes[:, cv2.CC_STAT_AREA] >= _COMPACT * longest**2
+    large = [part for part in range(1, count) if shares[part] >= _LARGE_PART and compact[part]]
+    if len(large) < 2:
+        yield region, pixels
+        return
+    for part in large:
+        mine = labels == part
+        low, high = np.percentile(seen.points[mine], (2, 98), axis=0)
+        area = float(shares[part]) * region.area
+        yield replace(region, place=_point((low + high) / 2), size=_point(high - low), area=area), mine
+
+
+def _point(values: Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
@@ -205,22 +266,26 @@ def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
             apart = np.abs(np.subtract(one.region.place, other.region.place))
             sizes = (np.array(one.region.size) + other.region.size) / 2
             alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
-            if alike and (apart - sizes <= gap).all():
+            between = float(np.linalg.norm(np.maximum(apart - sizes, 0)))
+            if alike and between <= gap and not (_is_compact(one.region) or _is_compact(other.region)):
                 group = [group[i] if number == group[j] else number for number in group]
-    return [_joined([one for one, of in zip(findings, group) if of == number]) for number in dict.fromkeys(group)]
+    patterns = [[one for one, of in zip(findings, group) if of == number] for number in dict.fromkeys(group)]
+    return [one for some in patterns for one in ([_joined(some)] if len(some) > 1 else some)]
+
+
+def _is_compact(region: Region) -> bool:
+    """Whether it is a thing of its own, as a module is, and no part of a pattern."""
+    return region.area >= _ALONE * max(region.size) ** 2
 
 
 def _joined(parts: list[Finding]) -> Finding:
     """Parts of a pattern as one finding, with the numbers of the largest; place and extent are those of them all."""
     largest = max(parts, key=lambda one: one.region.area)
-    if len(parts) == 1:
-        return largest
     low, high = (
         np.array([np.add(one.region.place, sign * np.array(one.region.size) / 2) for one in parts]) for sign in (-1, 1)
     )
     ends = low.min(axis=0), high.max(axis=0)
-    middle, size = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
-    place, sides = ((float(v[0]), float(v[1]), float(v[2])) for v in (middle, size))
+    place, sides = _point((ends[0] + ends[1]) / 2), _point(ends[1] - ends[0])
     area = sum(one.region.area if one.area is None else one.area for one in parts)
     return replace(largest, region=replace(largest.region, place=place, size=sides), area=area)
 
@@ -228,34 +293,6 @@ def _joined(parts: list[Finding]) -> Finding:
 def _holds(one: Region, other: Region) -> bool:
     """Whether a region is most of another one that holds it."""
     return one.area >= _MOST_OF * other.area
-
-
-def _of_parts(seen: SearchedView, mask: NDArray[np.bool_]) -> Array:
-    """The median of each part of a mask, in all of its pixels, [H, W]."""
-    of_each = np.array(seen.values)
-    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
-    for part in range(1, count):
-        mine = parts == part
-        of_each[mine] = np.median(seen.values[mine])
-    return of_each
-
-
-def surroundings(seen: SearchedView) -> Array:
-    """The median of each pixel's surroundings, [H, W].
-
-    Args:
-        seen: The view.
-    """
-    values, there = seen.values, seen.there
-    if not there.any():
-        return np.zeros_like(values)
-    low, high = np.percentile(values[there], (0.5, 99.5))
-    step = max(float(high - low), 1e-9) / _LEVELS
-    filled = np.where(there, values, np.median(values[there]))
-    levels = np.rint(np.clip((filled - low) / step, 0, _LEVELS)).astype(np.uint8)
-    window = 2 * max(1, round(_SURROUNDINGS * min(values.shape) / 2)) + 1
-    median: Array = low + step * cv2.medianBlur(levels, window).astype(np.float64)
-    return median
 
 
 def must_not_be_read(sure: Sure | None, pixels: NDArray[np.bool_]) -> bool:
@@ -298,7 +335,7 @@ def _finding(
         minimum=float(values.min()),
         maximum=float(values.max()),
         mean=float(values.mean()),
-        reference=float(np.median(references[pixels])),
+        reference=float(np.nanmedian(references[pixels])),
         uncertainty=_root_mean_square(sure.half_width[pixels]) if sure is not None else None,
         area=area_of((rows, columns), depth, seen.view.K.double().cpu().numpy()),
         doubts=() if sure is None else _bits(sure.doubts[pixels]),

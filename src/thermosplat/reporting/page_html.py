@@ -17,9 +17,11 @@ body { font: 15px/1.45 system-ui, sans-serif; max-width: 860px; margin: 2em auto
 h1 { font-size: 1.7em; } h2 { font-size: 1.3em; margin-top: 1.6em; } h3 { font-size: 1.1em; margin-top: 1.6em; }
 table { border-collapse: collapse; width: 100%; } th, td { padding: .25em .7em; border-bottom: 1px solid #d1d5db;
   text-align: left; vertical-align: top; white-space: pre-line; } .facts th { width: 38%; font-weight: 500;
-  color: #4b5563; } p { white-space: pre-line; } .stands-out { border-left: 4px solid #b45309; padding-left: .8em; }
+  color: #4b5563; } .wide { overflow-x: auto; } .wide th, .wide td { min-width: 6em; padding: .25em .4em; }
+p { white-space: pre-line; } .stands-out { border-left: 4px solid #b45309; padding-left: .8em; }
 figure { margin: 1em 0; break-inside: avoid; } img { max-width: 100%; } figcaption { color: #6b7280; font-size: .9em; }
 @media print { body { margin: 0; max-width: none; padding: 0; font-size: 10.5pt; } .new-page { break-before: page; }
+  .wide th, .wide td { min-width: 0; }
   h2, h3 { break-after: avoid; } tr { break-inside: avoid; } }
 """
 
@@ -60,7 +62,7 @@ def _block(block: Block) -> str:
     if isinstance(block, Table):
         head = "".join(f"<th>{_text(name)}</th>" for name in block.head)
         rows = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in block.rows)
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
     data = base64.b64encode(png_of(block)).decode()
     picture = f'<img alt="" style="width: {block.share:.0%}" src="data:image/png;base64,{data}">'
     return f"<figure>{picture}<figcaption>{_text(block.caption)}</figcaption></figure>"

@@ -65,7 +65,7 @@ _TEXTS = {
     "unknown_scale": ("not known; extents are in world units", "nicht bekannt; Ausdehnungen in Welteinheiten"),
     "position": ("Position on the Earth", "Lage auf der Erde"),
     "reference": ("Reference", "Referenz"),
-    "of_surroundings": ("median of the surroundings in the same picture", "Median der Umgebung im selben Bild"),
+    "of_surroundings": ("median of its like around it", "Median von Gleichartigem in der Umgebung"),
     "of_area": ("mean of the measurement {}", "Mittelwert der Messung {}"),
     "above": ("Findings lie above it by more than", "Befunde liegen darüber um mehr als"),
     "below": ("Findings lie below it by more than", "Befunde liegen darunter um mehr als"),
@@ -74,13 +74,20 @@ _TEXTS = {
     "findings": ("Findings", "Befunde"),
     "finding": ("Finding", "Befund"),
     "no_findings": ("Nothing lies beyond the limit.", "Nichts liegt jenseits der Grenze."),
-    "things": ("Things that are seen in the photograph too", "Dinge, die auch im Foto zu sehen sind"),
+    "things": ("Things that have nothing like them around", "Dinge ohne ihresgleichen in der Umgebung"),
     "about_things": (
-        "They differ as much from what is around them, but have an outline in the photograph: another material, "
-        "warmed by the sun or by its use. Compare each with its like.",
-        "Sie weichen ebenso von ihrer Umgebung ab, haben aber einen Umriss im Foto: ein anderes Material, erwärmt von "
-        "der Sonne oder vom Gebrauch. Vergleichen Sie jedes mit seinesgleichen.",
+        "They differ as much from what is around them, but nothing there is the same surface of the same colour: "
+        "another material, warmed by the sun or by its use. Compare each with its like.",
+        "Sie weichen ebenso von ihrer Umgebung ab, aber nichts dort ist dieselbe Fläche in derselben Farbe: ein "
+        "anderes Material, erwärmt von der Sonne oder vom Gebrauch. Vergleichen Sie jedes mit seinesgleichen.",
     ),
+    "classes": ("Classes of the label images", "Klassen der Label-Bilder"),
+    "about_classes": (
+        "Numbers of all views that see a class; the area is that of the view that sees the most of it.",
+        "Werte aller Ansichten, die eine Klasse zeigen; die Fläche ist die der Ansicht, die am meisten davon zeigt.",
+    ),
+    "class_name": ("Class", "Klasse"),
+    "views": ("Views", "Ansichten"),
     "not_read": (
         "Regions that are not reported, as values there must not be read (glass, bare metal, seen too little)",
         "Bereiche ohne Befund, da Werte dort nicht abgelesen werden dürfen (Glas, blankes Metall, zu wenig gesehen)",

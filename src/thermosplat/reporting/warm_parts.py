@@ -1,0 +1,67 @@
+"""Warm parts of a view: what is around them, and where they end."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.viewer.measuring import SearchedView
+
+Array = NDArray[np.float64]
+FEWEST_PIXELS = 9
+"""Of a part: 3x3, the least that a radiometric camera measures."""
+_SURROUNDINGS = 1 / 3
+"""Side of a pixel's surroundings, as a share of the picture's shorter side: a finding fills less than half of it."""
+_LEVELS = 255
+"""That the values are sorted into for their median, which OpenCV finds in large windows of 8 bits alone."""
+_PEAK = 90
+"""Percentile of a region's differences that is its full one."""
+_LEAST_OWN = 1 / 3
+"""Share of a grown region that must stand out of its own like: of roads and lawns a tenth does."""
+
+
+def surroundings(seen: SearchedView) -> Array:
+    """The median of each pixel's surroundings, [H, W].
+
+    Args:
+        seen: The view.
+    """
+    values, there = seen.values, seen.there
+    if not there.any():
+        return np.zeros_like(values)
+    low, high = np.percentile(values[there], (0.5, 99.5))
+    step = max(float(high - low), 1e-9) / _LEVELS
+    filled = np.where(there, values, np.median(values[there]))
+    levels = np.rint(np.clip((filled - low) / step, 0, _LEVELS)).astype(np.uint8)
+    window = 2 * max(1, round(_SURROUNDINGS * min(values.shape) / 2)) + 1
+    median: Array = low + step * cv2.medianBlur(levels, window).astype(np.float64)
+    return median
+
+
+def of_parts(seen: SearchedView, mask: NDArray[np.bool_]) -> Array:
+    """The median of each part of a mask, in all of its pixels, [H, W]."""
+    of_each = np.array(seen.values)
+    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
+    for part in range(1, count):
+        mine = parts == part
+        of_each[mine] = np.median(seen.values[mine])
+    return of_each
+
+
+def grown(seen: SearchedView, mask: NDArray[np.bool_], references: Array, sign: float) -> NDArray[np.bool_]:
+    """Each part of a mask [H, W] up to where half of its difference is left, without parts of larger surfaces."""
+    everything = np.zeros_like(mask)
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    far = np.nan_to_num(sign * (seen.values - references), nan=-np.inf)
+    for part in range(1, count):
+        pixels = labels == part
+        if sizes[part, cv2.CC_STAT_AREA] < FEWEST_PIXELS or everything[pixels].all():
+            continue
+        half = float(np.percentile(far[pixels], _PEAK)) / 2
+        warm = seen.there & (sign * (seen.values - np.median(references[pixels])) > half)
+        of_pixel = cv2.connectedComponents(warm.astype(np.uint8), connectivity=4)[1]
+        touched = np.zeros(int(of_pixel.max()) + 1, bool)
+        touched[of_pixel[pixels & warm]] = True
+        whole = touched[of_pixel]
+        if (far[whole] > half).sum() >= _LEAST_OWN * whole.sum():
+            everything |= whole
+    return everything
