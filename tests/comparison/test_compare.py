@@ -28,7 +28,7 @@ def date(name: str, path: Path, model: SceneModel, capture: Any, to_first: MapFr
     """A date whose intervals are 0.4 °C either way."""
     sure = SimpleNamespace(
         of_view=lambda view, shown: Sure(np.full(shown.shape, 0.4), np.zeros(shown.shape, np.uint8)),
-        calibration=SimpleNamespace(drift=0.1),
+        calibration=SimpleNamespace(level=0.1),
     )
     run: Any = SimpleNamespace(
         model=model,

@@ -91,7 +91,7 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
         if photographs is not None:
             colours = rendered.images[leading].clamp(0, 1).cpu().numpy()
             seen[at] = np.where(there[..., None], colours, np.nan)
-    drift, shown = certainty.calibration.drift, None if photographs is None else seen
+    drift, shown = certainty.calibration.level, None if photographs is None else seen
     return DatedMap(values, half_widths, heights, shown, surface, drift)
 
 
