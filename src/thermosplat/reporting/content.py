@@ -22,6 +22,8 @@ from thermosplat.viewer.measuring import Measurer
 
 _LEAST_IRRADIANCE = 600.0
 """[W/m²] of IEC TS 62446-3."""
+_MOST_THINGS = 12
+"""Rows of things, half of a page: a client reads no more of what is no finding. Open choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +180,10 @@ def _things(report: Report) -> Iterator[Block]:
     if not things:
         return
     yield Heading(words["things"], new_page=True)
-    yield Paragraph(words["about_things"])
+    more = f" {words['of_things']} {len(things)}." if len(things) > _MOST_THINGS else ""
+    yield Paragraph(words["about_things"] + more)
     extreme = words["minimum" if report.colder else "maximum"]
-    rows = [(words.place(one.region.place, 2), *_numbers(report, one)) for one in things]
+    rows = [(words.place(one.region.place, 2), *_numbers(report, one)) for one in things[:_MOST_THINGS]]
     yield Table([words["place"], extreme, words["mean"], _delta(report), words["area"]], rows)
 
 

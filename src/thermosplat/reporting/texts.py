@@ -81,6 +81,7 @@ _TEXTS = {
         "Sie weichen ebenso von ihrer Umgebung ab, aber nichts dort ist dieselbe Fläche in derselben Farbe: ein "
         "anderes Material, erwärmt von der Sonne oder vom Gebrauch. Vergleichen Sie jedes mit seinesgleichen.",
     ),
+    "of_things": ("The most different of", "Die auffälligsten von"),
     "classes": ("Classes of the label images", "Klassen der Label-Bilder"),
     "about_classes": (
         "Numbers of all views that see a class; the area is that of the view that sees the most of it.",
