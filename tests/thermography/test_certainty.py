@@ -9,9 +9,9 @@ import torch
 
 from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.thermography.calibration import Calibration, calibration, read_calibration
-from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, Certainty
+from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, REFLECTING, Certainty
 from thermosplat.thermography.measurements import Measurement
-from thermosplat.thermography.picture_structure import noise_of
+from thermosplat.thermography.picture_structure import noise_of, stands_out
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.session import Wish
 from viewed_toy import toy_session, viewed_toy
@@ -81,6 +81,34 @@ def test_images_tell_whether_spectra_see_different_surfaces(
     found = certainty._lies_before("rgb", view, depth, other_depth, torch.ones(60, 80, dtype=torch.bool), order)
     assert found[:, :20].mean() == differ
     assert not found[:, 24:].any()
+
+
+def test_what_changes_with_direction_is_not_to_be_read(scene, monkeypatch) -> None:
+    """A mirror shows each camera something else, by more than noise, drift and the picture's own edges."""
+    certainty = scene.certainties["thermal"]
+    view = scene.view(scene.start().viewmat, 50.0, 80, 60)
+    mirror = torch.arange(80) < 24
+
+    def images(spectrum: str, index: int, _: object, at: torch.Tensor, deep: str) -> torch.Tensor:
+        return torch.where(mirror, 20.0 + 5.0 * index, 20.0).expand(60, 80)[..., None]
+
+    monkeypatch.setattr(certainty, "_from_elsewhere", images)
+    _, doubts = certainty._evidence(view, np.full((60, 80), 20.0), 0.05, 0.05)
+    surface = doubts & NO_SURFACE == 0
+    assert surface[:, :20].any()
+    assert (doubts[:, :20][surface[:, :20]] & REFLECTING > 0).mean() > 0.9
+    assert not (doubts[:, 30:] & REFLECTING).any()
+
+
+@pytest.mark.parametrize(("size", "small"), [(2, True), (5, False)])
+def test_what_is_smaller_than_three_pixels_of_the_sensor(scene, size: int, small: bool) -> None:
+    """A warm spot that no square of 3x3 pixels fits in is not to be read; the ground around it is."""
+    view = scene.view(scene.start().viewmat, 50.0, 80, 60)
+    values = np.full((60, 80), 20.0)
+    values[30 : 30 + size, 40 : 40 + size] = 25.0
+    found = stands_out(values, 0.05, torch.ones(60, 80), view, float(view.K[0, 0]))
+    assert found[30, 40] == small
+    assert not found[10:20, 10:20].any()
 
 
 def test_a_calibration_is_kept(scene, tmp_path: Path) -> None:
