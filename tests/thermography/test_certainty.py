@@ -111,6 +111,20 @@ def test_what_is_smaller_than_three_pixels_of_the_sensor(scene, size: int, small
     assert not found[10:20, 10:20].any()
 
 
+def test_a_picture_is_looked_at_once(scene, monkeypatch) -> None:
+    """Several measurements of one view ask once; another picture of the same place is looked at anew."""
+    certainty, looks = scene.certainties["thermal"], []
+    evidence = certainty._evidence
+    monkeypatch.setattr(certainty, "_evidence", lambda *given: looks.append(1) or evidence(*given))
+    view = scene.view(scene.start().viewmat, 50.0, 40, 30)
+    values = np.full((30, 40), 20.0)
+    first = certainty.of_view(view, values)
+    assert certainty.of_view(view, values.copy()) is first
+    certainty.of_view(view, values + 1)
+    certainty.of_view(scene.view(scene.start().viewmat, 60.0, 40, 30), values + 1)
+    assert len(looks) == 3
+
+
 def test_a_calibration_is_kept(scene, tmp_path: Path) -> None:
     """The next program reads it; a damaged file is made again."""
     path = tmp_path / "certainty.json"
