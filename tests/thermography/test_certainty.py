@@ -114,6 +114,7 @@ def test_what_is_smaller_than_three_pixels_of_the_sensor(scene, size: int, small
 def test_a_picture_is_looked_at_once(scene, monkeypatch) -> None:
     """Several measurements of one view ask once; another picture of the same place is looked at anew."""
     certainty, looks = scene.certainties["thermal"], []
+    assert certainty.calibration.factors  # looks at held-out views
     evidence = certainty._evidence
     monkeypatch.setattr(certainty, "_evidence", lambda *given: looks.append(1) or evidence(*given))
     view = scene.view(scene.start().viewmat, 50.0, 40, 30)
