@@ -34,7 +34,9 @@ smartquotes_action = "qD"  # quotes and dashes; [..., N, 3] stays as it is
 html_theme = "furo"
 html_title = f"thermosplat {release}"
 html_copy_source = False
-html_extra_path = ["site_root"]  # the site's first page leads to docs/index.html
+# The site's first page leads to docs/index.html. example.html is by `thermosplat-train sample --result-dir example
+# --densification.max-gaussians 10000` and `thermosplat-export example --format html --fit-passes 8`.
+html_extra_path = ["site_root"]
 
 SIDEBAR = {
     "Use": [
