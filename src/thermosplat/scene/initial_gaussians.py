@@ -7,11 +7,10 @@ what no view shows stays empty (benchmarks/records/real-captures.md).
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from thermosplat.config import ModelConfig, TrainConfig
+from thermosplat.datasets.parallax import point_spacing, seen_first
 from thermosplat.scene.formations.formation import Formation
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians, check_points
@@ -44,8 +43,9 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", formations: Forma
     check_points(capture.points)
     generator = torch.Generator().manual_seed(config.seed)
     distances = neighbor_distances(capture.points)
-    closest = median_spacing(capture, distances) < max(config.resolution.factors, default=1)
-    sizes = AMONG_MANY * distances if closest else distances
+    spacing = point_spacing(seen_first(capture.train), capture.points, distances)
+    is_dense = spacing is not None and spacing < max(config.resolution.factors, default=1)
+    sizes = AMONG_MANY * distances if is_dense else distances
     return {
         name: Gaussians.from_points(
             capture.points,
@@ -58,30 +58,6 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", formations: Forma
         )
         for name, rendered in sets_of(config.model, formations).items()
     }
-
-
-def median_spacing(capture: "Capture", distances: NDArray[np.float32]) -> float:
-    """How far apart neighbouring points lie in the training images [px], the median over what all images show.
-
-    Points that something hides count, too. An image that a lens has distorted counts as if it were not.
-
-    Args:
-        capture: Gives points and cameras.
-        distances: Of each point to its neighbours [world units], shape [M].
-
-    Returns:
-        The median; infinity where no image shows a point.
-    """
-    homogeneous = np.concatenate([capture.points, np.ones_like(capture.points[:, :1])], axis=1).astype(np.float64)
-    found = []
-    for frame in capture.train:
-        view = next(iter(frame.views.values()))
-        camera = view.camera
-        x, y, depth = camera.K @ (homogeneous @ view.viewmat.T)[:, :3].T
-        shown = (depth > 0) & (x > 0) & (x < camera.width * depth) & (y > 0) & (y < camera.height * depth)
-        found.append(camera.fx * distances[shown] / depth[shown])
-    spacings = np.concatenate(found) if found else np.zeros(0)
-    return float(np.median(spacings)) if len(spacings) else float("inf")
 
 
 def sets_of(config: ModelConfig, formations: Formations) -> dict[str, list[Formation]]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
-from thermosplat.datasets.parallax import Seen, parallax_remark, triangulation_angle
+from thermosplat.datasets.parallax import parallax_remark, seen_first, triangulation_angle
 from thermosplat.training.session.training_parts import Training
 
 
@@ -32,7 +32,5 @@ def greeting(training: Training, notes: Sequence[str]) -> list[str]:
         f"{capture.name}: {len(training.frames)} training and {len(capture.test)} held-out frames, "
         f"{training.state.all_gaussians:,} Gaussians{since}; results go to {training.run.path}"
     )
-    views = (next(iter(frame.views.values())) for frame in capture.train)
-    seen = [Seen(view.viewmat, view.camera.K, view.camera.width, view.camera.height) for view in views]
-    remark = parallax_remark(triangulation_angle(seen, capture.points))
+    remark = parallax_remark(triangulation_angle(seen_first(capture.train), capture.points))
     return lines if remark is None else [*lines, remark]
