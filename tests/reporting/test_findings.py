@@ -102,7 +102,7 @@ def test_things_are_alone_of_their_colour(monkeypatch: pytest.MonkeyPatch, chang
     values, photograph = _wall(0.0), np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
     values[20:26, 30:36] += 5.0
     photograph[20:26, 30:36] += changes
-    monkeypatch.setattr(findings, "_photographs", lambda measurer, views: [photograph] * len(views))
+    monkeypatch.setattr(findings, "photographs_of", lambda measurer, views: [photograph] * len(views))
     found = find(_measurer(values), "thermal", limit=2.0)
     assert (len(found.things), len(found.findings)) == (things, 1 - things)
 
@@ -114,7 +114,7 @@ def test_a_surface_is_compared_with_its_like(monkeypatch: pytest.MonkeyPatch, sp
     values[:, 30:60] += 6.0
     photograph[:, 30:60] += 0.2
     values[20:28, 40:50] += spot
-    monkeypatch.setattr(findings, "_photographs", lambda measurer, views: [photograph] * len(views))
+    monkeypatch.setattr(findings, "photographs_of", lambda measurer, views: [photograph] * len(views))
     found = find(_measurer(values), "thermal", limit=2.0).findings
     assert [round(one.difference) for one in found] == [4] * bool(spot)
 

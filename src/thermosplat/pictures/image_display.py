@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.regular_files import read_regular
 from thermosplat.runs.atomic_writes import write_bytes
 from thermosplat.thermal.radiometry import PixelScale
 
@@ -123,8 +124,8 @@ def fitted(image: Image8, width: int, height: int) -> Image8:
 def read_png(path: Path) -> Image8 | None:
     """An 8-bit RGB image [H, W, 3] from a file that `write_png` wrote; None where there is none that can be read."""
     try:
-        content = np.frombuffer(path.read_bytes(), np.uint8)  # by name OpenCV crashes where that is no UTF-8
-    except OSError:
+        content = np.frombuffer(read_regular(path), np.uint8)  # by name OpenCV crashes where that is no UTF-8
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
+    except (OSError, cv2.error):
         return None
-    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
     return None if image is None else np.ascontiguousarray(image[..., ::-1]).astype(np.uint8)

@@ -3,12 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from thermosplat.errors import UserError
-from thermosplat.pictures.image_display import Image8
-from thermosplat.regular_files import read_regular
+from thermosplat.pictures.image_display import Image8, read_png
 from thermosplat.reporting.blocks import Block, Heading, Paragraph, Picture, Table
 from thermosplat.reporting.texts import Words
 from thermosplat.spectra import CELSIUS, unit_label
@@ -55,10 +51,7 @@ def _read(path: Path) -> Image8:
     Raises:
         UserError: It is not there.
     """
-    try:
-        picture = cv2.imdecode(np.frombuffer(read_regular(path), np.uint8), cv2.IMREAD_COLOR_RGB)
-    except (OSError, cv2.error):
-        picture = None
+    picture = read_png(path)
     if picture is None:
         raise UserError(f"{path} is no picture that can be read.", "Run thermosplat-compare again.")
-    return np.asarray(picture, np.uint8)
+    return picture

@@ -14,15 +14,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from thermosplat.reporting.likes import Elements
+from thermosplat.reporting.likes import Elements, photographs_of
 from thermosplat.reporting.warm_parts import FEWEST_PIXELS, grown, of_parts, surroundings
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
-from thermosplat.thermography.reprojection import resized
 from thermosplat.viewer.layers import Layer
 from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 
@@ -120,7 +118,7 @@ def find(
         UserError: There are no photographs to search by.
     """
     views = list(measurer.searched(spectrum, _WIDTH))
-    elements = Elements(views, None if reference is not None else _photographs(measurer, views))
+    elements = Elements(views, None if reference is not None else photographs_of(measurer, views))
     references = elements.references() if reference is None else [np.full(one.values.shape, reference) for one in views]
     sign = -1.0 if colder else 1.0
     if limit is None:
@@ -152,21 +150,6 @@ def find(
     more = max(0, len(found) - MOST_FINDINGS)
     listed, beside = (tuple(some[:MOST_FINDINGS]) for some in (found, things))
     return Found(listed, beside, limit, search.not_read, more, tuple(views))
-
-
-@torch.no_grad()
-def _photographs(measurer: Measurer, views: list[SearchedView]) -> list[NDArray[np.float32]] | None:
-    """Colours in [0, 1] of the scene's photographs in views of another spectrum, [H, W, 3]; None without any."""
-    scene = measurer.scene
-    name = next((name for name, scale in scene.scales.items() if scale.kind == "photograph"), None)
-    if name is None:
-        return None
-    colors = []
-    for view in (one.view for one in views):
-        half = resized(view, -(-view.width // 2), -(-view.height // 2))  # elements have two pixels
-        image = scene.model.render({name: half}, sh_degree=scene.sh_degree).images[name].clamp(0, 1)
-        colors.append(cv2.resize(image.cpu().numpy(), (view.width, view.height)))
-    return colors
 
 
 class _Search:

@@ -8,10 +8,13 @@ element is compared with those around it that lie on its plane, face as it does,
 import itertools
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from thermosplat.viewer.measuring import SearchedView, grid_cell
+from thermosplat.thermography.reprojection import resized
+from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -28,6 +31,26 @@ _OFF_PLANE, _COSINE, _CONTRAST = 0.1, 0.9, 0.06
 _AROUND = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
 _VOTES = 0.5
 """Share of the pixels that see an element, which must agree."""
+
+
+@torch.no_grad()
+def photographs_of(measurer: Measurer, views: Sequence[SearchedView]) -> list[NDArray[np.float32]] | None:
+    """Colours in [0, 1] of the scene's photographs in views of another spectrum, [H, W, 3]; None without any.
+
+    Args:
+        measurer: Of the scene.
+        views: Where to look from.
+    """
+    scene = measurer.scene
+    name = next((name for name, scale in scene.scales.items() if scale.kind == "photograph"), None)
+    if name is None:
+        return None
+    colors = []
+    for view in (one.view for one in views):
+        half = resized(view, -(-view.width // 2), -(-view.height // 2))  # elements have two pixels
+        image = scene.model.render({name: half}, sh_degree=scene.sh_degree).images[name].clamp(0, 1)
+        colors.append(cv2.resize(image.cpu().numpy(), (view.width, view.height)))
+    return colors
 
 
 class Elements:
