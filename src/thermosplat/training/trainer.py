@@ -198,7 +198,7 @@ class Trainer:
         kind, rates = StepKind.at(config, step), config.optimizer
         for stage in self.stages:
             kind, rates = stage.before(step, kind), stage.rates(rates)
-        state.begin_step(step, rates, self.capture.scene_extent)
+        state.begin_step(step, rates)
 
         with self._first_step(), self.steps.run(kind) as values:
             if self.looks_at_guard(step):
@@ -259,7 +259,7 @@ class Trainer:
     def _save_and_evaluate(self) -> None:
         """Do with the step done what the configuration says, unless its scene is no result of the run."""
         step, config = self.step, self.config
-        if self.state.is_preliminary:
+        if self.state.preliminaries.under_way:
             return
         with self.keeping.saving_meanwhile() if step in config.save_steps else nullcontext():
             if step in config.eval_steps:

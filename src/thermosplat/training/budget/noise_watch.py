@@ -62,6 +62,19 @@ class NoiseWatch:
         self.teachers: dict[str, Teacher] = {}
         self.over = False
 
+    @classmethod
+    def of_checkpoint(cls, checkpoint: Checkpoint, num_frames: int, device: torch.device) -> "NoiseWatch":
+        """The watch of a checkpoint that has one; arguments as of the class.
+
+        Raises:
+            KeyError, ValueError, UserError: As of ``load_state_dict`` and ``load_teachers``.
+        """
+        saved = checkpoint.training.noise_watch or {}
+        watch = cls(saved["noise"], num_frames, device)
+        watch.load_state_dict(saved)
+        watch.load_teachers(saved, checkpoint)
+        return watch
+
     def measured_anew(self, noise: Mapping[str, float]) -> None:
         """Let floors follow the noise of the images as they are now: a resumed run may have them smaller.
 

@@ -17,6 +17,7 @@ from thermosplat.runs.checkpoint_file import on_host
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.packed_parameters import pack
+from thermosplat.training.budget.progress import BudgetProgress
 from thermosplat.training.density.gaussian_ops import replace_parameters
 from thermosplat.training.optimizers import load_optimizer
 from thermosplat.training.training_state import TrainingState
@@ -198,7 +199,7 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
         state.strategies[name].load_state_dict((checkpoint.training.strategies or {})[name])
     state.model.formations.load_state_dict(model.formations.state_dict())
     training = checkpoint.training
-    state.load_budget(training)
+    state.budget = BudgetProgress.of_checkpoint(training)
     if training.noise_watch is not None and state.noise_watch is not None:
         state.noise_watch.load_state_dict(training.noise_watch)
     for strategy in state.strategies.values():
