@@ -35,7 +35,8 @@ from warp_kernels.projection.camera_gradients import (
     camera_finish_kernel,
     lens_finish_kernel,
 )
-from warp_kernels.projection.lens_models import LensModel, lens_limit_kernel
+from warp_kernels.projection.lens_limits import lens_limit_kernel
+from warp_kernels.projection.lens_models import LensModel
 from warp_kernels.projection.motion_step import motion_kernels
 from warp_kernels.projection.projection import projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel

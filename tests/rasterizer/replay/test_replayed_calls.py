@@ -13,7 +13,7 @@ from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
 from thermosplat import rasterization
 from thermosplat.rasterizer import replay
-from thermosplat.rasterizer.replay import replayed_calls
+from thermosplat.rasterizer.replay import known_signature, replayed_calls
 
 cpu = pytest.mark.parametrize("device", [torch.device("cpu")])
 
@@ -54,7 +54,7 @@ def test_a_frame_without_room_is_rendered_plainly(either_bench: Bench) -> None:
 def test_the_room_of_many_pairs_is_tight_until_it_was_too_small(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """An eighth over what was seen; where views differ, half as much again, as few pairs have at once."""
     for many, spares in ((10**9, (1.5, 1.5)), (1, (1.03125, 1.5))):
-        monkeypatch.setattr(replayed_calls, "MANY_PAIRS", many)
+        monkeypatch.setattr(known_signature, "MANY_PAIRS", many)
         bench.calls.clear()
         for size, spare in zip((0.02, 3.0), spares, strict=True):
             scene = bench.scene(3, n=900, width=120, height=90)
@@ -179,7 +179,7 @@ def test_large_info_is_seldom_copied(bench: Bench, device: torch.device) -> None
         assert replayed  # after a copy of the first
         assert not replays(7)[0]
         assert torch.equal(second["depths"], bench.plain(**bench.scene(6))[-1]["depths"])
-        assert all(replays(seed)[0] for seed in range(replayed_calls.COPY_EVERY))
+        assert all(replays(seed)[0] for seed in range(known_signature.COPY_EVERY))
         _, third = replays(8)
         assert replays(9)[0]
         for seed, info in ((5, first), (8, third)):

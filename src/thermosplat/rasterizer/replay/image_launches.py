@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import torch
 
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.blending.blending_step import BlendedArrays
+from warp_kernels.blending.blended_arrays import BlendedArrays
 from warp_kernels.machinery.array_views import ArrayView
 
 
