@@ -113,7 +113,7 @@ def read_panels(folder: Path) -> dict[tuple[str, str], Panels]:
         truth, render, error = (
             _read(folder / FOLDER / f"{entry['stem']}_{kind}.png") for kind in ("truth", "render", "error")
         )
-        key = entry["frame"], entry.get("spectrum") or entry["modality"]  # the word of version 0.1
+        key = entry["frame"], entry["spectrum"]
         panels[key] = Panels(truth, render, error, entry["score"], entry["palette_end"])
         if entry.get("depth_range"):
             panels[key] = replace(
