@@ -14,7 +14,7 @@ import tyro
 
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
@@ -82,18 +82,6 @@ class BenchmarkArguments:
     """Cells made elsewhere: --out folders, run folders, or results.json files. They count as finished."""
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Show the traceback of an error."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code: 0, 2 for a mistake of the user's or a cell that failed, 130 after Ctrl-C.
-    """
-    return run_program(BenchmarkArguments, _benchmark, argv, prog="thermosplat-benchmark")
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:
@@ -203,6 +191,8 @@ def _matrix(arguments: BenchmarkArguments) -> "Matrix":
         keep_checkpoints=arguments.keep_checkpoints,
     )
 
+
+main = program(BenchmarkArguments, _benchmark, prog="thermosplat-benchmark")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -21,3 +21,12 @@ def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: l
     """
     words = sys.argv[1:] if argv is None else argv
     return run_command(lambda: body(parse_command_line(kind, words, prog=prog)), debug="--debug" in words)
+
+
+def program(kind: type[Arguments], body: Callable[[Arguments], int], *, prog: str) -> Callable[..., int]:
+    """The ``main`` of a program: takes words (None: the process's), returns the exit code; arguments as above."""
+
+    def main(argv: list[str] | None = None) -> int:
+        return run_program(kind, body, argv, prog=prog)
+
+    return main
