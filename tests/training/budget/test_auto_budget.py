@@ -103,7 +103,7 @@ def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
     assert trainer.budget is not None
     advance(trainer, 6)
     change, before = trainer.budget.images(1), trainer.model.num_gaussians
-    trainer.budget._prune(1)
+    trainer.budget.prune(1)
     assert trainer.model.num_gaussians < before
     assert change.now() <= 0.02
 
@@ -146,11 +146,11 @@ def test_too_small_a_rise_is_none(tmp_path: Path) -> None:
     with tolerating(least_gain=0.5):
         trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
     assert trainer.budget is not None
-    trainer.budget._validate(2, 1)
+    trainer.budget.validate(2, 1)
     best, _ = trainer.state.budget.best_validation
     for below, expected in ((0.4, best - 0.4), (0.6, best)):
         trainer.state.budget.best_validation = (best - below, 0)
-        trainer.budget._validate(4, 1)
+        trainer.budget.validate(4, 1)
         assert trainer.state.budget.best_validation[0] == pytest.approx(expected)
 
 
@@ -225,7 +225,7 @@ def test_three_spectra_are_all_looked_at(tmp_path: Path) -> None:
     assert sorted(name for frame in withheld for name in frame.views) == sorted(2 * shown)
     change = trainer.budget.images(1)
     assert change.errors.keys() == set(shown)
-    trainer.budget._validate(2, 1)
+    trainer.budget.validate(2, 1)
     expected = []
     for index in trainer.budget.validation:
         frame = trainer.frames[index]

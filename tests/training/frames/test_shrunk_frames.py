@@ -105,7 +105,7 @@ def test_a_lens_stays_what_it_is() -> None:
 
 def test_images_are_made_once_per_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame seen again is the same one; another size takes the memory of the one before; full size is not copied."""
-    monkeypatch.setattr(train_frames, "_free_bytes", lambda device: 10**9)
+    monkeypatch.setattr(train_frames, "free_bytes", lambda device: 10**9)
     frames = frames_of()
     sized = ShrunkFrames(frames)
     full = [at(sized, place, 1.0) for place in range(4)]
@@ -121,7 +121,7 @@ def test_images_are_made_once_per_size(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_memory_they_are_made_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same images all the same."""
-    monkeypatch.setattr(train_frames, "_free_bytes", lambda device: 0)
+    monkeypatch.setattr(train_frames, "free_bytes", lambda device: 0)
     sized = ShrunkFrames(frames_of())
     first, again = at(sized, 0, 1.5), at(sized, 0, 1.5)
     assert first is not again

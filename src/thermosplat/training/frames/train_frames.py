@@ -54,7 +54,7 @@ class TrainFrames:
         if capture.on_disk is not None:
             self.from_disk = FramesFromDisk(self.frames, capture.scales, device, capture.on_disk.memory)
         self._cache: dict[int, FrameTensors] = {}
-        self._budget = _CACHED_SHARE * _free_bytes(device)
+        self._budget = _CACHED_SHARE * free_bytes(device)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -147,7 +147,8 @@ class SomeFrames(Sequence[FrameTensors]):
         return self._frames[self._indices[place]]
 
 
-def _free_bytes(device: torch.device) -> int:
+def free_bytes(device: torch.device) -> int:
+    """Memory that is free: of the GPU, or of the machine where training runs on the CPU; 0: nobody knows."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
     for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():

@@ -110,7 +110,7 @@ class AutoBudget:
             sh_degree: Degree of the spherical harmonics in use.
         """
         if self._validates_at(step):
-            self._validate(step, sh_degree)
+            self.validate(step, sh_degree)
         is_last = step == self._last_removal
         if is_last or self._growth_is_over(step):
             self._stop_growing()
@@ -125,7 +125,7 @@ class AutoBudget:
         Args:
             sh_degree: Degree of the spherical harmonics in use.
         """
-        actions = {"prune": self._prune, "drop_offsets": self.drop_offsets, "reduce_features": self.reduce_features}
+        actions = {"prune": self.prune, "drop_offsets": self.drop_offsets, "reduce_features": self.reduce_features}
         while self.state.budget.due:
             first, *others = self.state.budget.due
             actions[first](sh_degree)
@@ -176,7 +176,8 @@ class AutoBudget:
         )
 
     @torch.no_grad()
-    def _validate(self, step: int, sh_degree: int) -> None:
+    def validate(self, step: int, sh_degree: int) -> None:
+        """Look at the withheld views: note who is better than ever, and stop growth that brings nothing more."""
         state, settings = self.state, self.settings
         found: dict[str, list[float]] = {}
         for index in self.validation:
@@ -309,7 +310,8 @@ class AutoBudget:
         looked_at = spread(self._having, self.tolerances.measured_views)
         return ImageChange(self.state.model, SomeFrames(self.frames, looked_at), sh_degree, losses)
 
-    def _prune(self, sh_degree: int) -> None:
+    def prune(self, sh_degree: int) -> None:
+        """Remove the Gaussians that the training images do not miss; none of a scene that is not learnt."""
         change = self.images(sh_degree)
         if change.not_learnt:
             self._say(
