@@ -37,7 +37,6 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
 
     Args:
         entries: images · N.
-        dtype: ``wp.float32`` or ``wp.float64``.
         device: where they live.
         requires_grad: give them gradients.
 

@@ -48,9 +48,6 @@ mat23d = wp.types.matrix((2, 3), wp.float64)
 def lens_functions(model: LensModel):
     """What a lens does to a point.
 
-    Args:
-        model: of the lens.
-
     Returns:
         ``(bend, coefficient_gradient, radial_slope)``, Warp functions in float64.
     """

@@ -42,9 +42,6 @@ _OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.s
 def refuse_foreign_flags(argv: list[str]) -> None:
     """Name our own flag where a command line has another trainer's.
 
-    Args:
-        argv: Arguments without the program's name.
-
     Raises:
         UserError: At the first such flag.
     """
@@ -68,9 +65,6 @@ _GROUPS = frozenset(field.name for field in dataclasses.fields(TrainConfig))
 
 def without_gone_flags(argv: list[str]) -> list[str]:
     """A command line without flags of settings that there are no more, where they ask for what is done today.
-
-    Args:
-        argv: Arguments without the program's name.
 
     Raises:
         UserError: At the first such flag that asks for something else.

@@ -13,7 +13,6 @@ def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: l
     Args:
         kind: As of ``parse_command_line``, with a flag ``debug``.
         body: What the program does; returns the exit code.
-        argv: Arguments without the program's name. None: the process's.
         prog: The program's name.
 
     Returns:

@@ -43,7 +43,6 @@ def assembled_frame(
         listing: The capture's, root its folder.
         root: As of ``assemble``, as what follows.
         size: What makes images smaller.
-        spectra: The spectra.
         lens: What is done with lenses.
 
     Raises:

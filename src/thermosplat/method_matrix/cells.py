@@ -110,8 +110,6 @@ def cell_config(
 
     Args:
         preset: The method's preset or YAML file.
-        scene: The scene.
-        seed: The seed.
         max_steps: Steps of a method that has 30,000; others in proportion. None: as the method has it.
         save_every: Steps between checkpoints; 0: only the last step's.
         **changes: Other fields of the configuration, and ``max_gaussians``, the limit of its densification.

@@ -65,10 +65,6 @@ def write_panels(
 
     Args:
         folder: The cell's run folder.
-        model: The scene.
-        capture: Its capture.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
     """
     index: list[dict[str, Any]] = []
     pictures = plain_folder(folder, FOLDER)

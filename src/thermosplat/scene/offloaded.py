@@ -112,7 +112,6 @@ class GaussiansInView(Gaussians):
 
     Args:
         gaussians: The set.
-        indices: Which.
         sh_degree: Highest degree of the spherical harmonics in use.
     """
 

@@ -190,9 +190,6 @@ class FiniteGuard:
 
     ``blocked`` is handed to the optimizers, which leave everything as it is from that step on, so the last good state
     is still there when somebody looks, however much later.
-
-    Args:
-        device: Where losses and gradients are.
     """
 
     def __init__(self, device: torch.device | str) -> None:

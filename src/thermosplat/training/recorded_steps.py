@@ -74,7 +74,6 @@ class RecordedSteps:
     """Runs steps on a CUDA device, each kind of step once line by line and from then on as a graph.
 
     Args:
-        step: The step.
         num_frames: Training frames; up to ``MEASURED`` first steps run line by line.
 
     Attributes:

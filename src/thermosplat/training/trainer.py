@@ -101,7 +101,6 @@ class Trainer:
         Args:
             config: The run's configuration; rates, schedule and device may differ from the first time, the model not.
             capture: The same capture as the first time.
-            run: The run.
             logger: What tells the user; None for the default one.
             team: The ranks; None: this process alone.
 

@@ -73,7 +73,6 @@ class TrainingState:
 
     Args:
         model: The scene, on its device.
-        config: The whole configuration.
         capture: What it is trained on; the exposures and cameras of the training frames are part of the state.
         device: The model's device.
     """
@@ -237,8 +236,6 @@ class TrainingState:
         """The state to go on from; of a trimmed model without Adam's moments, twice its size.
 
         Args:
-            config: The whole configuration.
-            sh_degree: Degree of the spherical harmonics in use.
             scales: What pixel values mean, by spectrum.
             capture: What is trained on, for the frames' names; None: nobody goes on from it with another capture.
         """

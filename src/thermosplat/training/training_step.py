@@ -74,7 +74,6 @@ class TrainingStep:
     """The step of one run.
 
     Args:
-        config: The whole configuration.
         state: Model, optimizers and density control.
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.

@@ -74,7 +74,6 @@ class ViewSession:
         """Change how a layer is shown.
 
         Args:
-            layer: The layer.
             **changes: Fields of ``Display``.
         """
         self.displays[_key(layer)] = replace(self.display(layer), **changes)
@@ -237,7 +236,6 @@ class ViewSession:
         """Give a measurement another alarm or settings of its own, and measure it with them.
 
         Args:
-            name: Which.
             **changes: Fields of ``Definition``.
 
         Raises:

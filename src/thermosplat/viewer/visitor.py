@@ -60,7 +60,6 @@ class Visitor:
     """A tab and what it sees.
 
     Args:
-        client: viser's handle of it.
         session: What it looks at.
         shared: What it shares with the others.
     """

@@ -32,7 +32,6 @@ def named_images(images: Sequence[RegisteredImage], folders: Collection[str]) ->
     RGBT-Scenes needs the second: its model may name images of a folder that no longer exists.
 
     Args:
-        images: The images.
         folders: As ``folders_of`` has them.
     """
     named = [(image.name, image) for image in images]
@@ -47,7 +46,6 @@ def list_shared_cameras(
     Args:
         root: The capture's folder.
         folder: Images of the first spectrum, which are in the model.
-        model: Its COLMAP model.
         spectra: The spectra to look for.
         published: It is RGBT-Scenes' layout, whose spectra are registered to each other.
     """

@@ -43,7 +43,6 @@ class LaunchedByReplays(LaunchedNow):
     """A ``BlendLauncher`` whose launches are left out of what is recorded, and made by each replay on its images.
 
     Args:
-        device: Where.
         leave_out: Keeps what each replay has to do there.
         places: Of the images.
     """

@@ -77,7 +77,6 @@ class Formation(nn.Module):
         common: What it shares with those of the other spectra.
 
     Args:
-        spectrum: Which one.
         common: What it shares with those of the other spectra.
     """
 
@@ -305,7 +304,6 @@ def image_terms(
         first: The first latent channel that stands for its image.
         rendered: The render.
         view: The view with its image.
-        settings: The spectrum's.
         weights: Those of all spectra.
 
     Returns:

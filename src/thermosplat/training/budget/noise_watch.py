@@ -37,7 +37,6 @@ class NoiseWatch:
     Args:
         noise: By spectrum, the squared error below which no view is fitted, more than 0.
         num_frames: Training frames.
-        device: Where steps run.
 
     Attributes:
         floors: By spectrum, the squared errors below which the frames are not fitted, [num_frames] float32.

@@ -136,7 +136,6 @@ class FrameLoader:
         """The frame at a place of an order; those of the next places are read meanwhile.
 
         Args:
-            place: The place.
             order: Index of the frame at each place. It may change: then what was read ahead is read anew.
             end: One beyond the last place.
 

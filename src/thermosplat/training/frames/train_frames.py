@@ -38,7 +38,6 @@ class TrainFrames:
     Args:
         capture: The capture. Frames without a view that the model renders are left out.
         spectra: Names of the spectra that are modelled; frames hold no others.
-        device: Where the tensors go.
 
     Raises:
         UserError: If no frame is left, or images may take less memory than a frame needs.
@@ -89,7 +88,6 @@ class TrainFrames:
         """Packed tensors of the frame at a place of an order. Images may be bytes, which a step makes floats of.
 
         Args:
-            place: The place.
             order: Index of the frame at each place.
             end: One beyond the last place.
         """
@@ -187,7 +185,6 @@ def set_span(name: str, config: TrainConfig) -> Span:
 
     Args:
         name: A spectrum's name for its own set; anything else is trained by every step.
-        config: The whole configuration.
     """
     return spectrum_spans(config).get(name, Span(0, config.max_steps))
 

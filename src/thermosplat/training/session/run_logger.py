@@ -108,7 +108,6 @@ class RunLogger:
         Args:
             run: Where the files go.
             config: What is done.
-            device: Its device.
             speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
         """
         if speaks:

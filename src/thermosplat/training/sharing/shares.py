@@ -34,7 +34,6 @@ def keep_share(model: SceneModel, team: Team) -> None:
 
     Args:
         model: A model that no optimizer knows yet.
-        team: The ranks.
     """
     for name in model.gaussian_sets if team.size > 1 else ():
         gaussians = model.gaussians(name)
@@ -136,7 +135,6 @@ def whole_checkpoint(team: Team, state: TrainingState, own: Checkpoint, *, train
     """The checkpoint of all ranks together, in rank 0's host memory; None on the other ranks.
 
     Args:
-        team: The ranks.
         state: This rank's.
         own: This rank's checkpoint (``TrainingState.checkpoint``).
         training: With Adam's moments, twice the size of the model.
@@ -180,7 +178,6 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
     """Go on from a checkpoint of the same step with other Gaussians, in place.
 
     Args:
-        team: The ranks.
         state: This rank's state.
         checkpoint: This rank's share.
     """

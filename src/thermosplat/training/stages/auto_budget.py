@@ -53,7 +53,6 @@ class AutoBudget:
     """What ``--budget auto`` does between the steps of a run.
 
     Args:
-        config: The whole configuration.
         state: Model, optimizers and density control.
         frames: The training frames.
         schedule: Which of them the steps take.
@@ -107,7 +106,6 @@ class AutoBudget:
 
         Args:
             step: The step done.
-            sh_degree: Degree of the spherical harmonics in use.
         """
         if self._validates_at(step):
             self.validate(step, sh_degree)
@@ -120,11 +118,7 @@ class AutoBudget:
         self.do_what_is_due(sh_degree)
 
     def do_what_is_due(self, sh_degree: int) -> None:
-        """Leave out what is to be left out after the step done. What memory is too small for stays due in a checkpoint.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
+        """Leave out what is due after the step done. What memory is too small for stays due in a checkpoint."""
         actions = {"prune": self.prune, "drop_offsets": self.drop_offsets, "reduce_features": self.reduce_features}
         while self.state.budget.due:
             first, *others = self.state.budget.due
@@ -132,11 +126,7 @@ class AutoBudget:
             self.state.budget.due = tuple(others)
 
     def finish(self, sh_degree: int) -> None:
-        """Drop what is not needed once training is over, all of it or nothing; again only after further steps.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
+        """Drop what is not needed once training is over, all of it or nothing; again only after further steps."""
         model, tolerances = self.state.model, self.tolerances
         with kept_on_failure(model.gaussian_sets.parameters()):
             change = self.images(sh_degree)
@@ -252,7 +242,6 @@ class AutoBudget:
         """What each Gaussian is worth to the training images, [N] by name of the set.
 
         Args:
-            sh_degree: Degree of the spherical harmonics in use.
             change: Some of the images as they are now.
         """
         model = self.state.model
@@ -267,11 +256,7 @@ class AutoBudget:
             state.strategies[name].forget(len(state.gaussian_sets[name]))
 
     def drop_offsets(self, sh_degree: int) -> None:
-        """Make those opacity offsets zero, for good, that the training images do not miss.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
+        """Make those opacity offsets zero, for good, that the training images do not miss."""
         state = self.state
         state.budget.offsets_dropped = True
         if not any(map(offset_spectra, state.gaussian_sets.values())):
@@ -287,11 +272,7 @@ class AutoBudget:
                 drop_offsets(gaussians, spectrum, state.optimizers[name], dropped)
 
     def reduce_features(self, sh_degree: int) -> None:
-        """Leave as few latent channels as the training images, and the losses on channels, need.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
+        """Leave as few latent channels as the training images, and the losses on channels, need."""
         state = self.state
         if not state.model.has_features:
             return
@@ -304,7 +285,6 @@ class AutoBudget:
         """Some training images as they are now.
 
         Args:
-            sh_degree: Degree of the spherical harmonics in use.
             losses: As ``ImageChange``'s.
         """
         looked_at = spread(self._having, self.tolerances.measured_views)
