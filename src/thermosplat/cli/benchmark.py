@@ -62,11 +62,9 @@ class BenchmarkArguments:
     """Use so many CUDA devices, a process on each, in place of all."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
-    max_gaussians: int | None = None
-    """Growth of every set of Gaussians stops at this count (some methods have two). None: as each method has it."""
     overrides: Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="[CELLS:]FIELD=VALUE")] = ()
     """Settings other than the presets', of every cell or of a method, a scene or scene/method:
-    3dgs:densification.max_gaussians=200000."""
+    densification.max_gaussians=200000, or 3dgs:densification.max_gaussians=200000."""
     shard: str | None = None
     """Make one part of the cells: 2/8 is the second of eight, each of which another host makes. With one --out on a
     shared disk the tables hold what all have made so far; elsewhere --merge joins the folders."""
@@ -167,7 +165,7 @@ def _steps(matrix: "Matrix", cells: "Sequence[Cell]") -> str:
 
 def _matrix(arguments: BenchmarkArguments) -> "Matrix":
     most = 100_000_000
-    positive = dict.fromkeys(("max_steps", "data_factor", "max_gaussians", "gpus"), (1, most))
+    positive = dict.fromkeys(("max_steps", "data_factor", "gpus"), (1, most))
     check_ranges(arguments, **positive, save_every=(0, most), time_limit=(0, math.inf))
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
@@ -185,7 +183,6 @@ def _matrix(arguments: BenchmarkArguments) -> "Matrix":
         max_steps=arguments.max_steps,
         save_every=arguments.save_every,
         data_factor=arguments.data_factor,
-        max_gaussians=arguments.max_gaussians,
         overrides=parse_overrides(arguments.overrides, [scene.name for scene in scenes], methods),
         lpips_weights=arguments.lpips_weights,
         keep_checkpoints=arguments.keep_checkpoints,
