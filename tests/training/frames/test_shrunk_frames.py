@@ -109,14 +109,14 @@ def test_images_are_made_once_per_size(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = frames_of()
     sized = ShrunkFrames(frames)
     full = [at(sized, place, 1.0) for place in range(4)]
-    left = frames._budget
+    left = frames.room
     first = [at(sized, place, 1.5) for place in range(4)]
     assert all(at(sized, place + 4, 1.5) is first[place] for place in range(4))
-    assert frames._budget < left
+    assert frames.room < left
     at(sized, 0, 1.2)
     assert at(sized, 0, 1.5) is not first[0]
     assert all(at(sized, place, 1.0) is full[place] for place in range(4))
-    assert frames._budget == left
+    assert frames.room == left
 
 
 def test_without_memory_they_are_made_each_time(monkeypatch: pytest.MonkeyPatch) -> None:

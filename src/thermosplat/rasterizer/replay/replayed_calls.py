@@ -75,6 +75,10 @@ class ReplayedCalls:
     Args:
         function: ``rasterization`` or ``rasterization_rgbt``.
         machine: What it runs on.
+
+    Attributes:
+        signatures: What is known of calls, by their signature.
+        turn: Held by the thread that learns or captures.
     """
 
     def __init__(self, function: Callable[..., Any], machine: Machine | None = None) -> None:
@@ -83,13 +87,13 @@ class ReplayedCalls:
         self._parameters = list(inspect.signature(function).parameters)
         self._serves, self._place = self._machine.serves, self._machine.place
         self._counts = [0] * len(Counts._fields)
-        self._turn = threading.Lock()
+        self.turn = threading.Lock()
         self.clear()
         _all.add(self)
 
     def clear(self) -> None:
         """Let go of everything that is kept."""
-        self._signatures: dict[Any, KnownSignature] = {}
+        self.signatures: dict[Any, KnownSignature] = {}
         self._seen_at_least = SEEN
         self._last: KnownSignature | None = None
         self._clock = 0
@@ -104,7 +108,7 @@ class ReplayedCalls:
         call = call_of(arguments, options, self._place) if self._serves() else None
         if call is None:
             return self._plain(arguments, options)
-        signature = self._signatures.get(call.key)
+        signature = self.signatures.get(call.key)
         if signature is None or not signature.captured:
             return self._learned(call, arguments, options)
         free = signature.free
@@ -142,11 +146,11 @@ class ReplayedCalls:
         outgrown: CapturedCall | None = None,
     ) -> Any:
         """A plain call, of which is noted what a capture needs; the last before that is followed by it."""
-        turn = self._turn
+        turn = self.turn
         if not turn.acquire(blocking=False):
             return self._plain(arguments, options)
         try:
-            signature = self._signatures.get(call.key)
+            signature = self.signatures.get(call.key)
             if signature is None:
                 signature = self._noted(call, arguments, options)
             signature.captured = [one for one in signature.captured if one() is not None]
@@ -173,12 +177,12 @@ class ReplayedCalls:
 
     def _noted(self, call: Call, arguments: Sequence[Any], options: Mapping[str, Any]) -> KnownSignature:
         """A signature that was not seen before."""
-        if len(self._signatures) >= NOTED:
-            known = self._signatures
+        if len(self.signatures) >= NOTED:
+            known = self.signatures
             oldest = min(known, key=lambda key: (bool(known[key].captured), known[key].used))
             self._machine.wait(known[oldest].device)
             del known[oldest]
-        signature = self._signatures[call.key] = KnownSignature(call.tensors[0].device)
+        signature = self.signatures[call.key] = KnownSignature(call.tensors[0].device)
         names = names_of_tensors(self._parameters, arguments, options)
         signature.behind = frozenset(i for i, name in enumerate(names) if name == "backgrounds")
         signature.refused = is_never_replayed(self._parameters, arguments, options) or not all(
@@ -231,7 +235,7 @@ class ReplayedCalls:
         """Let go of the least recently used ones that are too many, or keep too much memory."""
         most = MEMORY_SHARE * self._machine.memory(newest.device)[1]
         while True:
-            kept = [one for one in self._signatures.values() if one.captured]
+            kept = [one for one in self.signatures.values() if one.captured]
             if sum(one.bytes for one in kept) <= most and len(kept) <= SIGNATURES:
                 return
             self._machine.wait(newest.device)
@@ -277,8 +281,8 @@ _left_by_parent: list[Any] = []
 def _after_fork() -> None:
     """A child process has no CUDA device: it neither uses nor destroys what its parent captured."""
     for calls in _all:
-        _left_by_parent.append(calls._signatures)
-        calls._turn = threading.Lock()
+        _left_by_parent.append(calls.signatures)
+        calls.turn = threading.Lock()
         calls.clear()
 
 

@@ -39,6 +39,9 @@ class TrainFrames:
         capture: The capture. Frames without a view that the model renders are left out.
         spectra: Names of the spectra that are modelled; frames hold no others.
 
+    Attributes:
+        room: Bytes that further frames may fill.
+
     Raises:
         UserError: If no frame is left, or images may take less memory than a frame needs.
     """
@@ -53,7 +56,7 @@ class TrainFrames:
         if capture.on_disk is not None:
             self.from_disk = FramesFromDisk(self.frames, capture.scales, device, capture.on_disk.memory)
         self._cache: dict[int, FrameTensors] = {}
-        self._budget = _CACHED_SHARE * free_bytes(device)
+        self.room = _CACHED_SHARE * free_bytes(device)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -79,9 +82,9 @@ class TrainFrames:
 
     def reserve(self, size: int) -> bool:
         """Whether there is memory to keep so many bytes more, which is then taken; less than 0 gives some back."""
-        if size > self._budget:
+        if size > self.room:
             return False
-        self._budget -= size
+        self.room -= size
         return True
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> FrameTensors:
