@@ -16,14 +16,14 @@ class DensityStage(Stage):
         """Note gradients for the next refinement."""
         state = self.training.state
         is_active = any(strategy.is_active(step) for strategy in state.strategies.values())
-        if state.preliminaries.find_cameras or not is_active:
+        if state.preliminaries.camera_passes or not is_active:
             return kind
         return replace(kind, densifying=True)
 
     def acts_at(self, step: int) -> bool:
         """Where a strategy refines or resets."""
         state = self.training.state
-        return not state.preliminaries.find_cameras and any(
+        return not state.preliminaries.camera_passes and any(
             strategy.refines_at(step) or strategy.resets_at(step) for strategy in state.strategies.values()
         )
 
