@@ -161,14 +161,9 @@ class Formation(nn.Module):
         """
         return None
 
-    def decoded(self, features: Tensor | None, view: "ViewTensors | None" = None) -> Tensor | None:
-        """What the scene's decoder makes of features for this spectrum alone; None: nothing.
-
-        Args:
-            features: As of ``decoder_input``.
-            view: As of ``decoder_input``.
-        """
-        inputs, decoder = self.decoder_input(features, view), self.common.decoder
+    def decoded(self, features: Tensor | None) -> Tensor | None:
+        """What the scene's decoder makes of features for this spectrum alone; None: nothing."""
+        inputs, decoder = self.decoder_input(features, None), self.common.decoder
         return None if inputs is None or decoder is None else decoder.image(self.name, inputs)
 
     def render(self, blended: Blended, decoded: Tensor | None) -> Tensor:
