@@ -73,7 +73,7 @@ def test_images_tell_whether_spectra_see_different_surfaces(
     times = {("rgb", 1.0): other_at_thermal, ("thermal", theirs): thermal_at_other}
 
     def images(spectrum: str, index: int, _: object, at: torch.Tensor, deep: str) -> torch.Tensor:
-        size = torch.where(torch.arange(80) < 24, times.get((spectrum, round(at[0, 0].item(), 3)), 1.0), 1.0)
+        size = torch.where(torch.arange(80) < 24, times.get((spectrum, round(at[0, 0, 2].item(), 3)), 1.0), 1.0)
         return (0.1 * index * size).expand(60, 80)[..., None]
 
     monkeypatch.setattr(certainty, "_from_elsewhere", images)

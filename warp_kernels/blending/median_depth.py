@@ -14,8 +14,10 @@ def median_depth_kernel(dtype: type) -> wp.Kernel:
     """The kernel, one thread per pixel.
 
     Returns:
-        The Warp kernel. It walks the list of a pixel's tile twice: to its end, for the transmittance that is left, and
-        to the Gaussian behind which half of the accumulated opacity lies.
+        The Warp kernel. It walks the list of a pixel's tile to its end, for the transmittance E that is left, and again
+        to the first Gaussian behind which at most (1 + E) / 2 is left: half of the accumulated opacity lies before it.
+        Most walks end sooner. E is no larger than the transmittance T anywhere on the way. So the Gaussian behind which
+        half of the light is left is the one, whatever follows, as soon as more than (1 + T) / 2 came to it.
     """
     vec2, vec4 = wp.types.vector(2, dtype), wp.types.vector(4, dtype)
     zero, half, one = dtype(0.0), dtype(0.5), dtype(1.0)
@@ -39,6 +41,7 @@ def median_depth_kernel(dtype: type) -> wp.Kernel:
         tile_offsets: wp.array(dtype=wp.int32),  # [tiles + 1]
         # outputs
         medians: wp.array(dtype=dtype),  # [images · height · width]
+        covered: wp.array(dtype=wp.int32),  # [images · height · width], 1 where at most half of the light is left
     ):
         index = wp.tid() + first
         in_image = index % (width * height)
@@ -49,6 +52,9 @@ def median_depth_kernel(dtype: type) -> wp.Kernel:
         pixel = vec2(dtype(x) + half, dtype(y) + half)
         median = dtype(0.0)
         enough = dtype(0.0)  # transmittance at which a walk ends
+        before = dtype(0.0)  # transmittance before the Gaussian behind which half of the light is left, and its depth
+        half_depth = dtype(0.0)
+        covered[index] = 0
         for _walk in range(2):
             T = dtype(1.0)
             for pair in range(tile_offsets[tile], tile_offsets[tile + 1]):
@@ -65,10 +71,19 @@ def median_depth_kernel(dtype: type) -> wp.Kernel:
                     behind = T * (one - alpha)
                     if behind <= least:
                         break
+                    if half < T and behind <= half:
+                        before = T
+                        half_depth = depths[gaussian]
+                        covered[index] = 1
                     T = behind
                     median = depths[gaussian]
                     if enough >= T:
                         break
+                    if before > half * (one + T):
+                        median = half_depth
+                        break
+            if before > half * (one + T):
+                break
             enough = half * (one + T)
         medians[index] = median
 

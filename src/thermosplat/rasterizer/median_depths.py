@@ -17,7 +17,6 @@ from warp_kernels.blending.median_depth import median_depth_kernel
 from warp_kernels.machinery.launching import launch
 
 
-@torch.no_grad()
 def median_depths(scene: ProjectedScene) -> Tensor:
     """The depth of the Gaussian at which half of a pixel's accumulated opacity is reached, front to back.
 
@@ -28,10 +27,24 @@ def median_depths(scene: ProjectedScene) -> Tensor:
         z-depths, or distances where the scene is sorted by them [world units], [..., C, H, W]; 0 where no Gaussian is
         drawn. Not differentiable.
     """
+    return covered_depths(scene)[0]
+
+
+@torch.no_grad()
+def covered_depths(scene: ProjectedScene) -> tuple[Tensor, Tensor]:
+    """Median depths, and which pixels the Gaussians cover.
+
+    Args:
+        scene: As of ``median_depths``.
+
+    Returns:
+        Median depths; where the accumulated opacity is a half or more, bool. Both [..., C, H, W].
+    """
     settings = scene.settings
     found = scene.depths.new_zeros((*scene.images_shape, settings.height, settings.width))
+    covered = torch.zeros_like(found, dtype=torch.int32)
     if found.numel() == 0:
-        return found
+        return found, covered.bool()
     lists = scene.binned(scene.opacities.detach().reshape(-1, 1))
     bins, kinds = lists.bins, kinds_of(found.dtype)
     read = [scene.means2d, scene.projected.packed_roots, scene.opacities, scene.depths]
@@ -41,5 +54,6 @@ def median_depths(scene: ProjectedScene) -> Tensor:
         arrays = [view(tensor, kind) for tensor, kind in zip(held, types, strict=True)]
         arrays += [view(lists.tensors[name], wp.int32) for name in ("gaussian_ids", "tile_offsets")]
         sizes = [bins.tiles_x, bins.tiles_y, bins.tile_size, settings.width, settings.height]
-        launch(median_depth_kernel(kinds.scalar), found.numel(), [*sizes, *arrays, view(found, kinds.scalar)], device)
-    return found
+        outputs = [view(found, kinds.scalar), view(covered, wp.int32)]
+        launch(median_depth_kernel(kinds.scalar), found.numel(), [*sizes, *arrays, *outputs], device)
+    return found, covered.bool()

@@ -22,8 +22,6 @@ from thermosplat.viewer.measuring import Measurer
 
 _LEAST_IRRADIANCE = 600.0
 """[W/m²] of IEC TS 62446-3."""
-_MOST_THINGS = 12
-"""Rows of things, half of a page: a client reads no more of what is no finding. Open choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +178,10 @@ def _things(report: Report) -> Iterator[Block]:
     if not things:
         return
     yield Heading(words["things"], new_page=True)
-    more = f" {words['of_things']} {len(things)}." if len(things) > _MOST_THINGS else ""
+    more = f" {words['of_things']} {len(things) + report.found.more_things}." if report.found.more_things else ""
     yield Paragraph(words["about_things"] + more)
     extreme = words["minimum" if report.colder else "maximum"]
-    rows = [(words.place(one.region.place, 2), *_numbers(report, one)) for one in things[:_MOST_THINGS]]
+    rows = [(words.place(one.region.place, 2), *_numbers(report, one)) for one in things]
     yield Table([words["place"], extreme, words["mean"], _delta(report), words["area"]], rows)
 
 

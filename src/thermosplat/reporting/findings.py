@@ -12,12 +12,11 @@ chimney have nothing, is compared with whatever surrounds it, and listed as a th
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.reporting.likes import Elements, photographs_of
-from thermosplat.reporting.warm_parts import FEWEST_PIXELS, grown, of_parts, surroundings
+from thermosplat.reporting.warm_parts import FEWEST_PIXELS, compact_parts, grown, of_parts, point_of, surroundings
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
@@ -27,6 +26,8 @@ from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 Array = NDArray[np.float64]
 MOST_FINDINGS = 60
 """Of a report, the farthest from the reference first."""
+MOST_THINGS = 12
+"""Half of a page: a client reads no more of what is no finding. Open choice."""
 _TIMES_USUAL = 4.0
 """Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
 LEAST_DEGREES = 1.0
@@ -41,8 +42,6 @@ _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
 _STEP = 0.55
 """Of the cells that connect pixels to regions, as a share of the grid's: little more than a pixel."""
-_LARGE_PART, _COMPACT = 0.25, 0.45
-"""Share of a region's pixels, and of the square of its own length, from which on a part is a finding of its own."""
 _ALONE = 0.75
 """Share of the square of its length from which on a region is no part of a pattern: of rafters it is the half."""
 _MOST_DOUBTED = 0.5
@@ -84,13 +83,15 @@ class Found:
     findings: tuple[Finding, ...]
     """The farthest from the reference first."""
     things: tuple[Finding, ...]
-    """The same of what has the outline of a thing in the photograph."""
+    """The same of what has nothing like it around, at most ``MOST_THINGS``."""
     limit: float
     """Least distance from the reference."""
     not_read: int
-    """Regions that were left out, as they must not be read."""
+    """Regions that would be listed and were left out, as they must not be read."""
     more: int
     """Regions beyond the most that a report lists."""
+    more_things: int = 0
+    """Things beyond those that are listed; of these nobody asks whether they may be read."""
     views: tuple[SearchedView, ...] = ()
     """In which they were looked for."""
 
@@ -135,21 +136,21 @@ def find(
         masks = beyond(of_each)
         return [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
 
-    search = _Search(measurer, spectrum, views, colder)
+    search = _Search(measurer, spectrum, views, sign)
+    things: list[Finding] = []
     if reference is None:
         masks = elements.agreed(regions_of(references))
         own = [of_parts(view, mask) for view, mask in zip(views, masks)]
-        search.add(elements.agreed(regions_of(own)), own, search.findings)
-        search.add(masks, references, search.findings)
+        search.add(elements.agreed(regions_of(own)), own)
+        search.add(masks, references)
         others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
-        search.add(elements.agreed(beyond(others)), others, search.things)
+        things = search.things(elements.agreed(beyond(others)), others)
     else:
-        search.add(elements.agreed(beyond(references)), references, search.findings)
-    found = sorted(search.findings, key=lambda one: sign * one.difference, reverse=True)
-    things = sorted(search.things, key=lambda one: sign * one.difference, reverse=True)
-    more = max(0, len(found) - MOST_FINDINGS)
-    listed, beside = (tuple(some[:MOST_FINDINGS]) for some in (found, things))
-    return Found(listed, beside, limit, search.not_read, more, tuple(views))
+        search.add(elements.agreed(beyond(references)), references)
+    found = sorted(search.findings, key=search.far, reverse=True)
+    more, listed = max(0, len(found) - MOST_FINDINGS), search.readable(things)
+    more_things = max(0, len(things) - MOST_THINGS)
+    return Found(tuple(found[:MOST_FINDINGS]), listed, limit, search.not_read, more, more_things, tuple(views))
 
 
 class _Search:
@@ -159,48 +160,83 @@ class _Search:
         measurer: Of the scene.
         spectrum: Where.
         views: Of the capture.
-        colder: Whether they are below the reference.
+        sign: -1 where they are below the reference, else 1.
     """
 
-    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], colder: bool) -> None:
-        self._measurer, self._spectrum, self._views, self._colder = measurer, spectrum, views, colder
-        self._known: dict[int, Sure | None] = {}
+    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float) -> None:
+        self._measurer, self._spectrum, self._views, self._sign = measurer, spectrum, views, sign
+        self._known: dict[SearchedView, Sure | None] = {}
+        self._cell = grid_cell(views)
         self.findings: list[Finding] = []
-        self.things: list[Finding] = []
         self.not_read = 0
 
-    def add(self, masks: list[NDArray[np.bool_]], references: list[Array], to: list[Finding]) -> None:
-        """Find regions.
+    def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
+        """Regions that may be read become findings.
 
         Args:
             masks: Pixels of regions, of each view.
             references: From what; NaN where nobody knows.
-            to: The list that they belong to.
         """
-        cell = grid_cell(self._views)
-        hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
-        known, fresh = list(to), list[Finding]()
-        for region in find_regions(hot, _STEP * cell, colder=self._colder):
-            best = region.best_view
-            view, pixels = self._views[best], masks[best] & _inside(self._views[best].points, region, cell)
+        known, fresh = list(self.findings), list[Finding]()
+        for region, pixels in self._regions(masks, references):
             inside = [
                 one for one in known if (np.abs(np.subtract(one.region.place, region.place)) <= region.size).all()
             ]
-            if (
-                region.pixels < FEWEST_PIXELS
-                or region.views < _FEWEST_VIEWS
-                or any(_holds(one.region, region) for one in inside)
-                or region.views < _LEAST_VIEWS * self._seeing(region)
-            ):
+            if any(_holds(one.region, region) for one in inside) or not self._is_agreed(region):
                 continue
-            if not np.isfinite(references[best][pixels]).any():
-                continue
-            sure = self._sure(best)
+            view, around = self._views[region.best_view], references[region.best_view]
+            sure = self._sure(view)
             if must_not_be_read(sure, pixels):
                 self.not_read += 1
                 continue
-            fresh += [_finding(one, view, part, references[best], sure) for one, part in _parts(region, view, pixels)]
-        to += _patterns(fresh, _NEIGHBOURS * cell)
+            fresh += [_finding(one, view, part, around, sure) for one, part in compact_parts(region, view, pixels)]
+        self.findings += _patterns(fresh, _NEIGHBOURS * self._cell)
+
+    def things(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> list[Finding]:
+        """Regions as things, the farthest from the reference first, before anybody asks whether they may be read.
+
+        Args:
+            masks: As of ``add``.
+            references: Likewise.
+        """
+        fresh = list[Finding]()
+        for region, pixels in self._regions(masks, references):
+            if self._is_agreed(region):
+                view, around = self._views[region.best_view], references[region.best_view]
+                fresh += [_finding(one, view, part, around, None) for one, part in compact_parts(region, view, pixels)]
+        return sorted(_patterns(fresh, _NEIGHBOURS * self._cell), key=self.far, reverse=True)
+
+    def readable(self, things: list[Finding]) -> tuple[Finding, ...]:
+        """The first things that may be read, at most ``MOST_THINGS``."""
+        listed = list[Finding]()
+        for one in things:
+            if len(listed) == MOST_THINGS:
+                break
+            if must_not_be_read(self._sure(one.seen), one.pixels):
+                self.not_read += 1
+            else:
+                listed.append(one)
+        return tuple(listed)
+
+    def far(self, one: Finding) -> float:
+        """How far a finding is from its reference."""
+        return self._sign * one.difference
+
+    def _regions(
+        self, masks: list[NDArray[np.bool_]], references: list[Array]
+    ) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
+        """Regions that are large enough, and their pixels in the view that sees the most of them, [H, W]."""
+        hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
+        for region in find_regions(hot, _STEP * self._cell, colder=self._sign < 0):
+            best = region.best_view
+            pixels = masks[best] & _inside(self._views[best].points, region, self._cell)
+            large = region.pixels >= FEWEST_PIXELS and region.views >= _FEWEST_VIEWS
+            if large and np.isfinite(references[best][pixels]).any():
+                yield region, pixels
+
+    def _is_agreed(self, region: Region) -> bool:
+        """Whether enough of the views that see a place agree."""
+        return region.views >= _LEAST_VIEWS * self._seeing(region)
 
     def _seeing(self, region: Region) -> int:
         """Views that see a place."""
@@ -208,32 +244,11 @@ class _Search:
         some = (np.abs(view.points[::2, ::2] - region.place)[view.there[::2, ::2]] for view in self._views)
         return sum(bool((apart <= half).all(axis=-1).any()) for apart in some)
 
-    def _sure(self, index: int) -> Sure | None:
-        if index not in self._known:  # it takes a while, and many regions share a view
+    def _sure(self, view: SearchedView) -> Sure | None:
+        if view not in self._known:  # it takes a while, and many regions share a view
             layer = Layer("image", self._spectrum)
-            self._known[index] = self._measurer.renderer.how_sure(layer, self._views[index].view)
-        return self._known[index]
-
-
-def _parts(region: Region, seen: SearchedView, pixels: NDArray[np.bool_]) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
-    """A region; its large parts that are compact, if the view shows some of them with gaps, as two modules have."""
-    count, labels, sizes, _ = cv2.connectedComponentsWithStats(pixels.astype(np.uint8), connectivity=4)
-    shares = sizes[:, cv2.CC_STAT_AREA] / pixels.sum()
-    longest = sizes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
-    compact = sizes[:, cv2.CC_STAT_AREA] >= _COMPACT * longest**2
-    large = [part for part in range(1, count) if shares[part] >= _LARGE_PART and compact[part]]
-    if len(large) < 2:
-        yield region, pixels
-        return
-    for part in large:
-        mine = labels == part
-        low, high = np.percentile(seen.points[mine], (2, 98), axis=0)
-        area = float(shares[part]) * region.area
-        yield replace(region, place=_point((low + high) / 2), size=_point(high - low), area=area), mine
-
-
-def _point(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
+            self._known[view] = self._measurer.renderer.how_sure(layer, view.view)
+        return self._known[view]
 
 
 def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
@@ -268,7 +283,7 @@ def _joined(parts: list[Finding]) -> Finding:
         np.array([np.add(one.region.place, sign * np.array(one.region.size) / 2) for one in parts]) for sign in (-1, 1)
     )
     ends = low.min(axis=0), high.max(axis=0)
-    place, sides = _point((ends[0] + ends[1]) / 2), _point(ends[1] - ends[0])
+    place, sides = point_of((ends[0] + ends[1]) / 2), point_of(ends[1] - ends[0])
     area = sum(one.region.area if one.area is None else one.area for one in parts)
     return replace(largest, region=replace(largest.region, place=place, size=sides), area=area)
 

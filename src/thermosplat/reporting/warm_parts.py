@@ -1,9 +1,13 @@
-"""Warm parts of a view: what is around them, and where they end."""
+"""Warm parts of a view: what is around them, where they end, and which of them are things of their own."""
+
+from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.thermography.hot_regions import Region
 from thermosplat.viewer.measuring import SearchedView
 
 Array = NDArray[np.float64]
@@ -17,6 +21,8 @@ _PEAK = 90
 """Percentile of a region's differences that is its full one."""
 _LEAST_OWN = 1 / 3
 """Share of a grown region that must stand out of its own like: of roads and lawns a tenth does."""
+_LARGE_PART, _COMPACT = 0.25, 0.45
+"""Share of a region's pixels, and of the square of its own length, from which on a part is a finding of its own."""
 
 
 def surroundings(seen: SearchedView) -> Array:
@@ -65,3 +71,33 @@ def grown(seen: SearchedView, mask: NDArray[np.bool_], references: Array, sign: 
         if (far[whole] > half).sum() >= _LEAST_OWN * whole.sum():
             everything |= whole
     return everything
+
+
+def compact_parts(
+    region: Region, seen: SearchedView, pixels: NDArray[np.bool_]
+) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
+    """A region; its large parts that are compact, if the view shows some of them with gaps, as two modules have.
+
+    Args:
+        region: The region.
+        seen: The view.
+        pixels: Its pixels there, [H, W].
+    """
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(pixels.astype(np.uint8), connectivity=4)
+    shares = sizes[:, cv2.CC_STAT_AREA] / pixels.sum()
+    longest = sizes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    compact = sizes[:, cv2.CC_STAT_AREA] >= _COMPACT * longest**2
+    large = [part for part in range(1, count) if shares[part] >= _LARGE_PART and compact[part]]
+    if len(large) < 2:
+        yield region, pixels
+        return
+    for part in large:
+        mine = labels == part
+        low, high = np.percentile(seen.points[mine], (2, 98), axis=0)
+        area = float(shares[part]) * region.area
+        yield replace(region, place=point_of((low + high) / 2), size=point_of(high - low), area=area), mine
+
+
+def point_of(values: Array) -> tuple[float, float, float]:
+    """Coordinates as a tuple."""
+    return float(values[0]), float(values[1]), float(values[2])

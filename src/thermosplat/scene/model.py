@@ -37,7 +37,7 @@ from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.scene.shared_cameras import views_by_camera
-from thermosplat.scene.views import Rendering, blend_features, render_view_depth
+from thermosplat.scene.views import Rendering, blend_features, render_view_depth, render_view_surface
 from thermosplat.spectra import model_spectra
 
 if TYPE_CHECKING:
@@ -242,12 +242,28 @@ class SceneModel(nn.Module):
             expected: The mean Σ w z / Σ w in place of the median: by it a pixel moves when the camera does.
             distributed: As in ``render``.
         """
+        if not expected:
+            return self.render_surface(spectrum, view, distributed=distributed)[0]
         gaussians = self.gaussians(self.set_of(spectrum))
         how = Rendering(0, False, self.pixel_filter, None, distributed=distributed)
-        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self.seen(view), how, expected=expected)
+        depth = render_view_depth(gaussians, gaussians.logits_in(spectrum), self.seen(view), how)
+        return depth if view.distortion is None else nearest_distorted(depth, view.K, view.distortion)
+
+    def render_surface(self, spectrum: str, view: "ViewTensors", *, distributed: bool = False) -> tuple[Tensor, Tensor]:
+        """The depth of ``render_depth``, and where the spectrum's opacity is a half or more, both [H, W].
+
+        Args:
+            spectrum: Its opacity weighs the Gaussians; with separate sets, its own set.
+            view: Camera and pose.
+            distributed: As in ``render``.
+        """
+        gaussians = self.gaussians(self.set_of(spectrum))
+        how = Rendering(0, False, self.pixel_filter, None, distributed=distributed)
+        found = render_view_surface(gaussians, gaussians.logits_in(spectrum), self.seen(view), how)
         if view.distortion is None:
-            return depth
-        return nearest_distorted(depth, view.K, view.distortion)
+            return found
+        depth, covered = (nearest_distorted(image, view.K, view.distortion) for image in found)
+        return depth, covered
 
     # ---- making and restoring ----------------------------------------------------------------------------------------
 

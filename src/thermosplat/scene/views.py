@@ -12,7 +12,7 @@ from thermosplat.fused.depth_spread import features_and_spread, with_depth_momen
 from thermosplat.rasterizer import (
     LensArguments,
     RGBTRender,
-    median_depths,
+    covered_depths,
     project,
     rasterization,
     rasterization_rgbt,
@@ -140,27 +140,40 @@ def render_view(
     return image.squeeze(0), alpha.squeeze(0), info  # [0] would have its gradient copied into zeros
 
 
-def render_view_depth(
-    gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering, *, expected: bool = False
-) -> Tensor:
-    """Median z-depth [world units], [H, W] (``median_depths``); 0 where nothing is drawn.
+@torch.no_grad()
+def render_view_surface(
+    gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering
+) -> tuple[Tensor, Tensor]:
+    """Median z-depth [world units], 0 where nothing is drawn, and where a half is covered (``covered_depths``), [H, W].
 
     Args:
         gaussians: The set.
         logit_opacities: Logits of either opacity of the set, [N].
         view: Camera and pose.
         rendering: How.
-        expected: The mean Σ w z / Σ w in place of the median; differentiable.
     """
     scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
     means: Tensor = gaussians.means
     quats: Tensor = gaussians.quats
-    widened, distributed = rendering.pixel_filter._asdict(), rendering.distributed
-    if not expected:
-        with torch.no_grad():
-            camera = projection_arguments(view)
-            seen = project(means, quats, scales, opacities, **widened, **camera, distributed=distributed)
-            return median_depths(seen).squeeze(0)
+    how = {**rendering.pixel_filter._asdict(), **projection_arguments(view), "distributed": rendering.distributed}
+    depth, covered = covered_depths(project(means, quats, scales, opacities, **how))
+    return depth.squeeze(0), covered.squeeze(0)
+
+
+def render_view_depth(
+    gaussians: Gaussians, logit_opacities: Tensor, view: "ViewTensors", rendering: Rendering
+) -> Tensor:
+    """Mean z-depth Σ w z / Σ w [world units], [H, W]; 0 where nothing is drawn. Differentiable.
+
+    Args:
+        gaussians: The set.
+        logit_opacities: Logits of either opacity of the set, [N].
+        view: Camera and pose.
+        rendering: How.
+    """
+    scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
+    means: Tensor = gaussians.means
+    quats: Tensor = gaussians.quats
     depth, _, _ = rasterization(
         means,
         quats,
@@ -169,10 +182,10 @@ def render_view_depth(
         opacities[:, None],  # not drawn
         packed=False,
         render_mode="ED",
-        **widened,
+        **rendering.pixel_filter._asdict(),
         **camera_arguments(view),
         deterministic=rendering.deterministic,
-        distributed=distributed,
+        distributed=rendering.distributed,
     )
     return depth[0, ..., 0]
 

@@ -17,7 +17,7 @@ must agree less at the thermal depth than at their own, and thermal images must 
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -67,8 +67,6 @@ _LEAST_COSINE = 0.26
 """75° from straight on: emissivity of most surfaces falls beyond 60 to 70° (Minkina and Dudzik 2009)."""
 _DEPTHS_APART = 0.05
 """Share of a depth by which the spectrum sees a surface before another spectrum's."""
-_SOLID = 0.5
-"""Opacity from which on a spectrum says how far away a surface is."""
 _AGREES_LESS, _DISAGREES = 1.6, 1.5
 """Where spectra see different surfaces: how many times as much the other's images disagree at this one's depth as at
 their own, and this one's images at the other's depth as is usual in the picture. Open choice, made on desk and lab."""
@@ -221,50 +219,55 @@ class Certainty:
         assert shown is not None  # noqa: S101  a view of a capture
         size = (camera.height, camera.width)
         picture = torch.nn.functional.interpolate(shown.permute(2, 0, 1)[None], size, mode="area")[0].permute(1, 2, 0)
-        depth = self._surface(*self._seen_by_each(camera)) if own else self.model.render_depth(spectrum, camera)
+        depth = self._surface(camera) if own else self.model.render_depth(spectrum, camera)
         return camera, picture, depth
 
-    def _from_elsewhere(self, spectrum: str, index: int, view: ViewTensors, depth: Tensor, deep: str) -> Tensor:
+    def _from_elsewhere(self, spectrum: str, index: int, view: ViewTensors, points: Tensor, deep: str) -> Tensor:
         """A training image as it looks from a view, [H, W, C]; NaN where it is hidden.
 
         Args:
             spectrum: The image's.
             index: The training frame.
             view: From where it is seen.
-            depth: How deep the view's pixels are, [H, W].
+            points: What the view's pixels see, in its camera's axes, [H, W, 3].
             deep: The spectrum whose depths these are, which says what is hidden.
         """
         camera, picture, _ = self._taken(spectrum, index)
-        by, _, its_depth = self._taken(deep, index)
-        positions, depths = seen_from(by, view, depth)
-        visible = depths <= (1 + HIDDEN) * sampled(its_depth[..., None], positions)[..., 0]
+        positions, visible = self._seen_there(index, view, points, deep)
         if spectrum != deep:
-            positions, _ = seen_from(camera, view, depth)
+            positions, _ = seen_from(camera, view, points)
         return torch.where(visible[..., None], sampled(picture, positions), torch.nan)
+
+    def _seen_there(self, index: int, view: ViewTensors, points: Tensor, deep: str) -> tuple[Tensor, Tensor]:
+        """Where points lie in a training image [px], and whether it shows them."""
+        by, _, its_depth = self._taken(deep, index)
+        positions, depths = seen_from(by, view, points)
+        return positions, depths <= (1 + HIDDEN) * sampled(its_depth[..., None], positions)[..., 0]
 
     def _evidence(
         self, view: ViewTensors, values: Array, noise: float, level: float
     ) -> tuple[Array, NDArray[np.uint8]]:
         """s of each pixel, and its doubts."""
-        solid, of_each = self._seen_by_each(view)
-        depth = self._surface(solid, of_each)
+        of_each = {name: self.model.render_surface(name, view) for name in self.model.spectra}
+        depth = self._surface(view, of_each)
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
-        normals = torch.stack([_normals(one, view) for one in of_each.values()])  # some depths are rough: any may be so
+        normals = torch.stack([_normals(one, view) for one, _ in of_each.values()])  # any of them may be rough
         shown = torch.as_tensor(values, dtype=torch.float32, device=depth.device)
         seen, facing = torch.zeros_like(depth), torch.zeros_like(depth)
         points = camera_points(view, depth)
-        nearest = []
-        for rank, index in enumerate(order):
-            there = self._from_elsewhere(self.spectrum, index, view, depth, self.spectrum)
-            visible = torch.isfinite(there[..., 0])
-            seen += visible
+        nearest = [self._from_elsewhere(self.spectrum, one, view, points, self.spectrum) for one in order[:_NEAREST]]
+        for index in order:  # most pixels are seen well by the nearest, and are asked for no more
+            asked = (seen < _FEWEST_VIEWS) | (facing < _LEAST_COSINE)
+            if not asked.any():
+                break
+            some = points[asked]
+            visible = self._seen_there(index, view, some[:, None], self.spectrum)[1][:, 0]
             place = view.viewmat @ torch.linalg.inv(self._taken(self.spectrum, index)[0].viewmat)[:, 3]
-            towards = place[:3] - points
-            cosine = (towards * normals).sum(dim=-1).abs().amax(dim=0) / towards.norm(dim=-1).clamp(min=1e-9)
-            facing = torch.maximum(facing, torch.where(visible, cosine, 0.0))
-            if rank < _NEAREST:
-                nearest.append(there)
+            towards = place[:3] - some
+            cosine = (towards * normals[:, asked]).sum(dim=-1).abs().amax(dim=0) / towards.norm(dim=-1).clamp(min=1e-9)
+            seen[asked] += visible
+            facing[asked] = torch.maximum(facing[asked], torch.where(visible, cosine, 0.0))
         spread, scatter = np.zeros(values.shape), np.zeros(values.shape)
         if nearest:
             squares = (torch.stack(nearest)[..., 0] - shown).square().nanmean(dim=0)
@@ -281,8 +284,8 @@ class Certainty:
         beside = cv2.dilate(slope, np.ones((3, 3), np.uint8))  # images lie a pixel aside at most
         doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise, level)))] |= REFLECTING
         for other in of_each.keys() - {self.spectrum}:
-            both = solid[self.spectrum] & solid[other]
-            doubts[self._lies_before(other, view, depth, of_each[other], both, order)] |= DEPTHS_DIFFER
+            (_, solid), (theirs, there) = of_each[self.spectrum], of_each[other]
+            doubts[self._lies_before(other, view, depth, theirs, solid & there, order)] |= DEPTHS_DIFFER
         focal = float(self._frames[order[0] if order else 0].views[self.spectrum].camera.K[0, 0])
         doubts[stands_out(values, noise, depth, view, focal)] |= SMALL
         doubts[~surface] = NO_SURFACE
@@ -301,31 +304,35 @@ class Certainty:
             return np.zeros_like(before)
         window = 2 * round(_POOLED * view.width / 2) + 1
 
-        def disagreement(spectrum: str, at: Tensor, deep: str) -> tuple[Array, float]:
-            scatter = scatter_of([self._from_elsewhere(spectrum, index, view, at, deep) for index in near])
+        def disagreement(spectrum: str, at: Tensor, deep: str) -> tuple[Array, Array]:
+            points = camera_points(view, at)
+            scatter = scatter_of([self._from_elsewhere(spectrum, index, view, points, deep) for index in near])
             share, sums = (cv2.blur(np.where(before, x, 0.0), (window, window)) for x in (1.0, scatter**2))
-            return np.sqrt(np.maximum(sums, 0) / np.maximum(share, 1e-9)), float(np.median(scatter))
+            return np.sqrt(np.maximum(sums, 0) / np.maximum(share, 1e-9)), scatter
 
         at_own, _ = disagreement(other, depth, self.spectrum)
         at_theirs, _ = disagreement(other, theirs, other)
-        thermal, usual = disagreement(self.spectrum, theirs, other)
-        told: NDArray[np.bool_] = before & (at_own > _AGREES_LESS * at_theirs) & (thermal > _DISAGREES * usual)
+        told: NDArray[np.bool_] = before & (at_own > _AGREES_LESS * at_theirs)
+        if told.any():
+            thermal, scatter = disagreement(self.spectrum, theirs, other)
+            told &= thermal > _DISAGREES * float(np.median(scatter))
         return told
 
-    def _seen_by_each(self, view: ViewTensors) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """By spectrum, where it shows a surface in a view, and how deep, both [H, W]."""
-        alphas = self.model.render(dict.fromkeys(self.model.spectra, view), sh_degree=self._sh_degree).alphas
-        solid = {name: alpha[..., 0] >= _SOLID for name, alpha in alphas.items()}
-        return solid, {name: self.model.render_depth(name, view) for name in self.model.spectra}
-
-    def _surface(self, solid: dict[str, Tensor], depths: dict[str, Tensor]) -> Tensor:
+    def _surface(self, view: ViewTensors, of_each: Mapping[str, tuple[Tensor, Tensor]] | None = None) -> Tensor:
         """Depth of what a view sees, [H, W].
 
         What is as cold as the range's lower end may be transparent in the spectrum: its depth there is another one's.
+
+        Args:
+            view: The view.
+            of_each: By spectrum, ``render_surface`` of the view; None: it is rendered where it is needed.
         """
-        depth = depths[self.spectrum]
-        for other, theirs in depths.items():
-            depth = torch.where(~solid[self.spectrum] & solid[other], theirs, depth)
+        of_each = of_each or {}
+        depth, solid = of_each.get(self.spectrum) or self.model.render_surface(self.spectrum, view)
+        for other in self.model.spectra:
+            if other != self.spectrum and not solid.all():
+                theirs, there = of_each.get(other) or self.model.render_surface(other, view)
+                depth = torch.where(~solid & there, theirs, depth)
         return depth
 
 

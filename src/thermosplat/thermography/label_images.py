@@ -21,7 +21,7 @@ from thermosplat.datasets.ground_truth import read_ground_truth
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.scene.model import SceneModel
-from thermosplat.thermography.reprojection import pose_distances, sampled, seen_from, warped
+from thermosplat.thermography.reprojection import pixel_rays, pose_distances, sampled, seen_from, warped
 
 FOLDER = "labels"
 UNLABELLED = -1
@@ -80,7 +80,7 @@ class LabelImages:
         for index in np.argsort(apart)[:_NEAREST]:
             labels, taken = self._read(int(index))
             if apart[index] <= _SAME_POSE:
-                positions, _ = seen_from(taken, view, torch.ones_like(depth))
+                positions, _ = seen_from(taken, view, pixel_rays(view))
                 seen = sampled(labels, positions, "nearest")[..., 0]
             else:
                 seen = warped(self._model, self._spectrum, labels, taken, view, depth, "nearest")[..., 0]

@@ -94,19 +94,19 @@ def scene_points(view: ViewTensors, depth: Tensor) -> Tensor:
     return (camera_points(view, depth) - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
 
 
-def seen_from(taken: ViewTensors, view: ViewTensors, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the points of a view lie in another one.
+def seen_from(taken: ViewTensors, view: ViewTensors, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Where points of a view lie in another one.
 
     Args:
         taken: The other one.
         view: The view.
-        depth: z-depth of its pixels, [H, W].
+        points: In its camera's axes (``camera_points``), [H, W, 3].
 
     Returns:
         Positions [px], [H, W, 2], NaN behind the camera; depths there, [H, W].
     """
     between = taken.viewmat.double() @ torch.linalg.inv(view.viewmat.double())
-    points = camera_points(view, depth) @ between[:3, :3].T.float() + between[:3, 3].float()
+    points = points @ between[:3, :3].T.float() + between[:3, 3].float()
     depths = points[..., 2]
     slopes = bent(points[..., :2] / depths.clamp(min=1e-9)[..., None], taken)
     positions = slopes * taken.K.diagonal()[:2] + taken.K[:2, 2]
@@ -157,7 +157,7 @@ def warped(
         depth: z-depth that the spectrum has in the view, [H, W]; 0 where it sees nothing.
         mode: As of ``sampled``.
     """
-    positions, depths = seen_from(taken, view, depth)
+    positions, depths = seen_from(taken, view, camera_points(view, depth))
     found = sampled(image, positions, mode)
     coarse = coarse_view(taken)
     scale = torch.tensor([coarse.width / taken.width, coarse.height / taken.height], device=view.K.device)

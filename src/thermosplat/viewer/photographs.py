@@ -14,7 +14,7 @@ from torch import Tensor
 
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
-from thermosplat.thermography.reprojection import pose_distances, sampled, seen_from, warped
+from thermosplat.thermography.reprojection import camera_points, pose_distances, sampled, seen_from, warped
 from thermosplat.viewer.viewed_scene import ViewedScene
 
 _SAME_POSE = 1e-4
@@ -74,7 +74,8 @@ class Photographs:
         assert taken.image is not None  # noqa: S101  a view of a capture
         distance = pose_distances(frame.views[spectrum].viewmat[None], viewmat, self.scene.frame_spacing)[0]
         if distance <= _SAME_POSE:
-            positions, _ = seen_from(taken, view, torch.ones(view.height, view.width, device=view.K.device))
+            depth = torch.ones(view.height, view.width, device=view.K.device)
+            positions, _ = seen_from(taken, view, camera_points(view, depth))
             return SeenPhotograph(frame, sampled(taken.image, positions))
         model = self.scene.model
         depth = model.render_depth(spectrum, view)
