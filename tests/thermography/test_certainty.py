@@ -73,8 +73,9 @@ def test_images_tell_whether_spectra_see_different_surfaces(
     times = {("rgb", 1.0): other_at_thermal, ("thermal", theirs): thermal_at_other}
 
     def images(spectrum: str, index: int, _: object, at: torch.Tensor, deep: str) -> torch.Tensor:
-        size = torch.where(torch.arange(80) < 24, times.get((spectrum, round(at[0, 0, 2].item(), 3)), 1.0), 1.0)
-        return (0.1 * index * size).expand(60, 80)[..., None]
+        height, width = at.shape[:2]  # of the whole view, or of pixels on the left
+        size = torch.where(torch.arange(width) < 24, times.get((spectrum, round(at[0, 0, 2].item(), 3)), 1.0), 1.0)
+        return (0.1 * index * size).expand(height, width)[..., None]
 
     monkeypatch.setattr(certainty, "_from_elsewhere", images)
     order = range(len(certainty._frames))
@@ -90,7 +91,8 @@ def test_what_changes_with_direction_is_not_to_be_read(scene, monkeypatch) -> No
     mirror = torch.arange(80) < 24
 
     def images(spectrum: str, index: int, _: object, at: torch.Tensor, deep: str) -> torch.Tensor:
-        return torch.where(mirror, 20.0 + 5.0 * index, 20.0).expand(60, 80)[..., None]
+        height, width = at.shape[:2]
+        return torch.where(mirror[:width], 20.0 + 5.0 * index, 20.0).expand(height, width)[..., None]
 
     monkeypatch.setattr(certainty, "_from_elsewhere", images)
     _, doubts = certainty._evidence(view, np.full((60, 80), 20.0), 0.05, 0.05)

@@ -304,28 +304,33 @@ class Certainty:
             return np.zeros_like(before)
         window = 2 * round(_POOLED * view.width / 2) + 1
 
-        def disagreement(spectrum: str, at: Tensor, deep: str) -> tuple[Array, Array]:
-            points = camera_points(view, at)
-            scatter = scatter_of([self._from_elsewhere(spectrum, index, view, points, deep) for index in near])
-            share, sums = (cv2.blur(np.where(before, x, 0.0), (window, window)) for x in (1.0, scatter**2))
-            return np.sqrt(np.maximum(sums, 0) / np.maximum(share, 1e-9)), scatter
+        def scatter(spectrum: str, at: Tensor, deep: str) -> Array:
+            return scatter_of([self._from_elsewhere(spectrum, index, view, at, deep) for index in near])
 
-        at_own, _ = disagreement(other, depth, self.spectrum)
-        at_theirs, _ = disagreement(other, theirs, other)
+        def pooled(of_some: Array) -> Array:
+            everywhere = np.zeros(before.shape)
+            everywhere[before] = of_some**2
+            share, sums = (cv2.blur(x, (window, window)) for x in (before.astype(np.float64), everywhere))
+            return np.sqrt(np.maximum(sums, 0) / np.maximum(share, 1e-9))
+
+        own, behind, mine = (
+            camera_points(view, depth),
+            camera_points(view, theirs),
+            torch.from_numpy(before).to(depth.device),
+        )
+        at_own = pooled(scatter(other, own[mine][:, None], self.spectrum)[:, 0])
+        at_theirs = pooled(scatter(other, behind[mine][:, None], other)[:, 0])
         told: NDArray[np.bool_] = before & (at_own > _AGREES_LESS * at_theirs)
         if told.any():
-            thermal, scatter = disagreement(self.spectrum, theirs, other)
-            told &= thermal > _DISAGREES * float(np.median(scatter))
+            thermal = scatter(self.spectrum, behind, other)
+            told &= pooled(thermal[before]) > _DISAGREES * float(np.median(thermal))
         return told
 
     def _surface(self, view: ViewTensors, of_each: Mapping[str, tuple[Tensor, Tensor]] | None = None) -> Tensor:
         """Depth of what a view sees, [H, W].
 
         What is as cold as the range's lower end may be transparent in the spectrum: its depth there is another one's.
-
-        Args:
-            view: The view.
-            of_each: By spectrum, ``render_surface`` of the view; None: it is rendered where it is needed.
+        ``of_each`` has the view's ``render_surface`` by spectrum; without it that is rendered where it is needed.
         """
         of_each = of_each or {}
         depth, solid = of_each.get(self.spectrum) or self.model.render_surface(self.spectrum, view)
