@@ -11,6 +11,7 @@ import reference_rasterizer
 from gaussian_scenes import Scene, leaves, random_scene
 from hard_scenes import FINITE, LARGE, NON_FINITE, ON_THRESHOLDS, hard_scene
 from thermosplat.rasterizer import median_depths, project, rasterization
+from thermosplat.rasterizer.median_depths import covered_depths
 
 pytestmark = pytest.mark.rotating
 
@@ -118,3 +119,16 @@ def test_no_gradient(device: torch.device) -> None:
     """It is a number of a Gaussian, and which one it is cannot be differentiated."""
     given = leaves(shaped(random_scene()), device, torch.float32)
     assert not median_depths(project(**given)).requires_grad
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_a_pixel_is_covered_where_half_of_its_light_is_held(device: torch.device, name: str) -> None:
+    """The accumulated opacity that is blended says the same."""
+    given = leaves(shaped(hard_scene(name)), device, torch.float64)
+    depths, covered = covered_depths(project(**given))
+    scene = {**given, "colors": given["opacities"][..., None]}
+    alphas = rasterization(**scene)[1][..., 0].detach()
+    unsure = (alphas - 0.5).abs() < 1e-6
+    assert ((alphas >= 0.5) | unsure)[covered].all()
+    assert ((alphas < 0.5) | unsure)[~covered].all()
+    assert (depths[covered] != 0).all()

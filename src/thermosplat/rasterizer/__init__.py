@@ -7,7 +7,7 @@ from thermosplat.rasterizer.lenses import (
     FThetaPolynomialType,
     RollingShutterType,
 )
-from thermosplat.rasterizer.median_depths import covered_depths, median_depths
+from thermosplat.rasterizer.median_depths import median_depths
 from thermosplat.rasterizer.pair_capacity import PairCapacity
 from thermosplat.rasterizer.rgbt import RGBTRender, rasterization_rgbt
 from thermosplat.rasterizer.scene_of_call import project
@@ -19,7 +19,6 @@ __all__ = [
     "PairCapacity",
     "RGBTRender",
     "RollingShutterType",
-    "covered_depths",
     "median_depths",
     "project",
     "rasterization",

@@ -165,6 +165,7 @@ class _Search:
 
     def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float) -> None:
         self._measurer, self._spectrum, self._views, self._sign = measurer, spectrum, views, sign
+        self._places = [view.points[::2, ::2][view.there[::2, ::2]] for view in views]
         self._known: dict[SearchedView, Sure | None] = {}
         self._cell = grid_cell(views)
         self.findings: list[Finding] = []
@@ -241,8 +242,7 @@ class _Search:
     def _seeing(self, region: Region) -> int:
         """Views that see a place."""
         half = np.array(region.size) / 2
-        some = (np.abs(view.points[::2, ::2] - region.place)[view.there[::2, ::2]] for view in self._views)
-        return sum(bool((apart <= half).all(axis=-1).any()) for apart in some)
+        return sum(bool((np.abs(some - region.place) <= half).all(axis=-1).any()) for some in self._places)
 
     def _sure(self, view: SearchedView) -> Sure | None:
         if view not in self._known:  # it takes a while, and many regions share a view

@@ -12,12 +12,12 @@ from thermosplat.fused.depth_spread import features_and_spread, with_depth_momen
 from thermosplat.rasterizer import (
     LensArguments,
     RGBTRender,
-    covered_depths,
     project,
     rasterization,
     rasterization_rgbt,
 )
 from thermosplat.rasterizer.lenses import RADIAL_COUNTS, TAKES
+from thermosplat.rasterizer.median_depths import covered_depths
 from thermosplat.scene.formations.formation import Blended
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED

@@ -41,6 +41,7 @@ from thermosplat.thermography.reprojection import (
     HIDDEN,
     camera_points,
     coarse_view,
+    normals_of,
     pose_distances,
     sampled,
     seen_from,
@@ -252,22 +253,11 @@ class Certainty:
         depth = self._surface(view, of_each)
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
-        normals = torch.stack([_normals(one, view) for one, _ in of_each.values()])  # any of them may be rough
+        normals = torch.stack([normals_of(one, view) for one, _ in of_each.values()], dim=2)  # any may be rough
         shown = torch.as_tensor(values, dtype=torch.float32, device=depth.device)
-        seen, facing = torch.zeros_like(depth), torch.zeros_like(depth)
         points = camera_points(view, depth)
         nearest = [self._from_elsewhere(self.spectrum, one, view, points, self.spectrum) for one in order[:_NEAREST]]
-        for index in order:  # most pixels are seen well by the nearest, and are asked for no more
-            asked = (seen < _FEWEST_VIEWS) | (facing < _LEAST_COSINE)
-            if not asked.any():
-                break
-            some = points[asked]
-            visible = self._seen_there(index, view, some[:, None], self.spectrum)[1][:, 0]
-            place = view.viewmat @ torch.linalg.inv(self._taken(self.spectrum, index)[0].viewmat)[:, 3]
-            towards = place[:3] - some
-            cosine = (towards * normals[:, asked]).sum(dim=-1).abs().amax(dim=0) / towards.norm(dim=-1).clamp(min=1e-9)
-            seen[asked] += visible
-            facing[asked] = torch.maximum(facing[asked], torch.where(visible, cosine, 0.0))
+        seen, facing = self._seen_well(view, points, normals, order)
         spread, scatter = np.zeros(values.shape), np.zeros(values.shape)
         if nearest:
             squares = (torch.stack(nearest)[..., 0] - shown).square().nanmean(dim=0)
@@ -290,6 +280,26 @@ class Certainty:
         doubts[stands_out(values, noise, depth, view, focal)] |= SMALL
         doubts[~surface] = NO_SURFACE
         return np.where(surface, s, np.nan), doubts
+
+    def _seen_well(
+        self, view: ViewTensors, points: Tensor, normals: Tensor, order: Sequence[int]
+    ) -> tuple[Tensor, Tensor]:
+        """How many training images show a pixel's point, and the largest cosine to its normals, [H, W]; both at least
+        what is enough where they are more: then no further image is asked."""
+        shape, points, normals = points.shape[:2], points.flatten(0, 1), normals.flatten(0, 1)
+        seen, facing = torch.zeros_like(points[:, 0]), torch.zeros_like(points[:, 0])
+        left = torch.arange(len(points), device=points.device)
+        for index in order:
+            visible = self._seen_there(index, view, points[left, None], self.spectrum)[1][:, 0]
+            place = view.viewmat @ torch.linalg.inv(self._taken(self.spectrum, index)[0].viewmat)[:, 3]
+            towards = place[:3] - points[left]
+            cosine = (towards[:, None] * normals[left]).sum(-1).abs().amax(1) / towards.norm(dim=-1).clamp(min=1e-9)
+            seen[left] += visible
+            facing[left] = torch.maximum(facing[left], torch.where(visible, cosine, 0.0))
+            left = left[(seen[left] < _FEWEST_VIEWS) | (facing[left] < _LEAST_COSINE)]
+            if not len(left):
+                break
+        return seen.view(shape), facing.view(shape)
 
     def _lies_before(
         self, other: str, view: ViewTensors, depth: Tensor, theirs: Tensor, both: Tensor, order: Sequence[int]
@@ -339,12 +349,3 @@ class Certainty:
                 theirs, there = of_each.get(other) or self.model.render_surface(other, view)
                 depth = torch.where(~solid & there, theirs, depth)
         return depth
-
-
-def _normals(depth: Tensor, view: ViewTensors) -> Tensor:
-    """Unit normals of what a view sees, in camera axes, [H, W, 3]."""
-    smooth = torch.nn.functional.avg_pool2d(depth[None, None], 5, 1, 2, count_include_pad=False)[0, 0]
-    points = camera_points(view, smooth)
-    down, across = torch.gradient(points, dim=(0, 1))
-    normal = torch.linalg.cross(across, down)
-    return normal / normal.norm(dim=-1, keepdim=True).clamp(min=1e-20)

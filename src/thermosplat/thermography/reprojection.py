@@ -94,6 +94,20 @@ def scene_points(view: ViewTensors, depth: Tensor) -> Tensor:
     return (camera_points(view, depth) - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
 
 
+def normals_of(depth: Tensor, view: ViewTensors) -> Tensor:
+    """Unit normals of what a view sees, in camera axes, [H, W, 3].
+
+    Args:
+        depth: z-depth of its pixels, [H, W].
+        view: The camera.
+    """
+    smooth = torch.nn.functional.avg_pool2d(depth[None, None], 5, 1, 2, count_include_pad=False)[0, 0]
+    points = camera_points(view, smooth)
+    down, across = torch.gradient(points, dim=(0, 1))
+    normal = torch.linalg.cross(across, down)
+    return normal / normal.norm(dim=-1, keepdim=True).clamp(min=1e-20)
+
+
 def seen_from(taken: ViewTensors, view: ViewTensors, points: Tensor) -> tuple[Tensor, Tensor]:
     """Where points of a view lie in another one.
 
