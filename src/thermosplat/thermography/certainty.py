@@ -291,8 +291,7 @@ class Certainty:
         left = torch.arange(len(points), device=points.device)
         for index in order:
             visible = self._seen_there(index, view, points[left, None], self.spectrum)[1][:, 0]
-            place = view.viewmat @ torch.linalg.inv(self._taken(self.spectrum, index)[0].viewmat)[:, 3]
-            towards = place[:3] - points[left]
+            towards = (view.viewmat @ self._taken(self.spectrum, index)[0].viewmat.inverse()[:, 3])[:3] - points[left]
             cosine = (towards[:, None] * normals[left]).sum(-1).abs().amax(1) / towards.norm(dim=-1).clamp(min=1e-9)
             seen[left] += visible
             facing[left] = torch.maximum(facing[left], torch.where(visible, cosine, 0.0))
