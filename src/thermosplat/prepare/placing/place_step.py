@@ -21,7 +21,8 @@ from thermosplat.prepare.structure.unregistered import some
 FEWEST_PLACED = 12
 """Images that tell one lens and what of a scene is warm. Open choice."""
 _LEAST_SHARE = 0.25
-"""Of what others show, less what chance shows, that images show in the median: 0.6 on a rendered flight. Open choice."""
+"""Of what others show, less what chance shows, that images show in the median; 0.6 on a rendered flight. Open
+choice."""
 
 
 def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> list[str]:
@@ -52,7 +53,7 @@ def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> li
         (image for image in model.images.values() if image.has_pose and is_photograph(image)),
         key=lambda image: image.name,
     )
-    thermal = thermal_images(capture, [row.file for row in rows])
+    thermal = thermal_images(capture, [row.file for row in rows], "frames.csv")
     photographs = photographs_of(model, images, capture.root / "images", round(1.5 * thermal[0].shape[1]))
     found = placed_images(photographs, [slopes(image) for image in thermal], gps[np.isfinite(gps).all(axis=1)])
     if len(found.right) < FEWEST_PLACED or found.share < _LEAST_SHARE:

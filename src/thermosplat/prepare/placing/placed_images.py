@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from thermosplat.prepare.placing.adjustment import Adjusted, Scene, adjusted, aligned
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
+from thermosplat.prepare.placing.straight_pieces import straight_pieces
 from thermosplat.prepare.placing.thermal_contours import Contours, agreement, contours
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.progress import progress_bar
@@ -42,9 +43,11 @@ _STARTS = 1.5 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 """Places around GPS from which an image is searched [its standard deviations]."""
 _CLEAR = 1.15
 """How many times as well as elsewhere edges must agree for an image to be asked first what thermal images show."""
+_BESIDE = 3
+"""Images beside one whose directions are tried."""
 _NOT_TURNED = np.cos(np.radians(25.0))
 """Cosine of the largest angle between what a start ends at and what the first search found."""
-_OF_USUAL, _OFF_GPS = 0.6, 5.0
+_OF_USUAL, _OFF_GPS = 0.6, 4.0
 """Share of the usual agreement, and standard deviations from GPS, from which on an image is placed wrongly."""
 _ALL = ("log_f", "k1", "cx", "cy", "k2")
 _PLAIN_STEPS = [
@@ -83,6 +86,7 @@ def placed_images(photographs: Photographs, slopes: Sequence[NDArray[np.float32]
     fields = [edge_field(field, working_width=SEARCH_WIDTH) for field in slopes]
     scene = Scene(photographs, slopes, gps, _EDGES_OF_PLAIN)
     lens = _first_lens(scene, fields)
+    pieces = straight_pieces(gps)
     known = Adjusted(lens, {}, np.zeros(3), _DEVIATION)
     everyone = range(len(slopes))
     with progress_bar("places", (_PLAIN + _WITH_CONTOURS) * len(slopes)) as advance:
@@ -102,7 +106,8 @@ def placed_images(photographs: Photographs, slopes: Sequence[NDArray[np.float32]
             shown = contours(scene, known, right)
             poses = {}
             for number in everyone:
-                poses[number] = _best_of_starts(scene, number, fields[number], known, shown, right)
+                beside = _beside(number, pieces, right)
+                poses[number] = _best_of_starts(scene, number, fields[number], known, shown, beside)
                 advance(1)
             weights = {number: shown.weights(number) for number in everyone}
             known = adjusted(scene, replace(known, poses=poses), _FINE_STEPS, weights)
@@ -136,8 +141,15 @@ def _searched(scene: Scene, field: Field, place: Array, lens: RigCamera, turns: 
     return best_trial(field, scene.photographs, quarters, lens, turns, edges_of=scene.edges_of, reach=reach)
 
 
+def _beside(number: int, pieces: NDArray[np.int64], right: Sequence[int]) -> list[int]:
+    """Images that look about the way of another: trusted ones of its straight piece, else before and after, else it."""
+    near = sorted(right, key=lambda one: abs(one - number))
+    same = [one for one in near if one != number and pieces[one] == pieces[number] >= 0]
+    return same[:_BESIDE] or [one for one in near if 0 < abs(one - number) <= _BESIDE] or [number]
+
+
 def _best_of_starts(
-    scene: Scene, number: int, field: Field, known: Adjusted, shown: Contours, right: Sequence[int]
+    scene: Scene, number: int, field: Field, known: Adjusted, shown: Contours, beside: Sequence[int]
 ) -> Pose:
     """The pose of one image that shows best what the others show."""
     weights, place = shown.weights(number), scene.gps[number] - known.common_error
@@ -154,8 +166,7 @@ def _best_of_starts(
             weights=weights,
         )
 
-    neighbours = [near for away in (1, 2) for near in (number - away, number + away) if near in right]
-    directions = [known.poses[near].rotation for near in neighbours or [number]]
+    directions = [known.poses[near].rotation for near in beside]
     first = max((search(Pose(one, place), _TURNS, _REACH) for one in directions), key=lambda trial: trial.score).pose
     found = [known.poses[number]]
     for start in place + known.deviation * _STARTS:

@@ -73,14 +73,16 @@ def agreement(scene: Scene, number: int, pose: Pose, lens: RigCamera, weights: A
     """How well an image shows what the others show.
 
     Returns:
-        The weight of edge points that it shows less what it would show by chance, and that as a share of all inside.
+        The weight of edge points that it shows less what it would show by chance, first over the square root of that
+        of all inside, by which poses compare, then as a share of it.
     """
     weight = [
         (weights[numbers[met]].sum(), weights[numbers].sum())
         for numbers, met in (_met(scene, number, pose, lens, aside, weights) for aside in (0.0, -_ASIDE, _ASIDE))
     ]
     above = weight[0][0] - (weight[1][0] + weight[2][0]) / 2
-    return float(above), float(above / max(weight[0][1], 1.0))
+    inside = max(weight[0][1], 1.0)
+    return float(above / np.sqrt(inside)), float(above / inside)
 
 
 def _met(

@@ -13,12 +13,15 @@ from thermosplat.prepare.capture_folder import OTHER, CaptureFolder
 from thermosplat.prepare.progress import progress_bar
 
 
-def thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArray[np.generic]]:
+def thermal_images(
+    capture: CaptureFolder, names: Sequence[str], listed_in: str = "pairs.csv"
+) -> list[NDArray[np.generic]]:
     """Read thermal images.
 
     Args:
         capture: The capture.
         names: Their files.
+        listed_in: The capture's table that names them.
 
     Raises:
         UserError: One cannot be read, or they have several sizes.
@@ -31,7 +34,7 @@ def thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArray
                 image = read_image(path)
             except UserError as error:
                 raise UserError(
-                    f"{path} is listed in the capture's tables and cannot be read. {error.message}",
+                    f"{path} is listed in {listed_in} and cannot be read. {error.message}",
                     f"Import and pair again: thermosplat-prepare pair {capture.root}",
                 ) from error
             read.append(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
@@ -41,6 +44,6 @@ def thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArray
         stated = ", ".join(f"{count} of {width}x{height} px" for (height, width), count in sizes.most_common())
         raise UserError(
             f"The thermal images of {capture.root} have several sizes: {stated}. One camera has one size.",
-            "Prepare a capture for each camera, or leave those of the other size out of pairs.csv.",
+            f"Prepare a capture for each camera, or leave those of the other size out of {listed_in}.",
         )
     return read
