@@ -10,7 +10,7 @@ from capture_folders import HEIGHT, WIDTH, spectra_with, write_colmap_folder, wr
 from capture_folders import write_transforms as write_thermoscenes
 from thermosplat.datasets import load_capture
 from thermosplat.errors import UserError
-from thermosplat.prepare.checking.quick_check import quick_notes
+from thermosplat.prepare.checking.quick_check import quick_findings
 from thermosplat.spectra import LATENT
 
 SPECTRA = spectra_with(
@@ -34,7 +34,7 @@ def test_files_are_found_by_the_photographs_names(tmp_path: Path, write: Callabl
             maps.parent.mkdir(parents=True, exist_ok=True)
             np.save(maps, rng.normal(size=(HEIGHT // 2, WIDTH // 2, 20)))
     capture = load_capture(tmp_path, spectra=SPECTRA)
-    assert not [note for note in quick_notes(capture, SPECTRA) if "parts" in note or "maps" in note]
+    assert not [one for one in quick_findings(capture, SPECTRA) if "parts" in one.sentence or "maps" in one.sentence]
     frames = [frame for frame in (*capture.train, *capture.test) if "rgb" in frame.views]
     assert frames
     assert {name: scale.kind for name, scale in capture.scales.items() if name in ("parts", "maps")} == {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat.config import ResolutionConfig, TrainConfig
+from thermosplat.config import DensificationConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
@@ -49,18 +49,20 @@ def test_colours_of_separate_sets() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spacing", "factors", "share"), [(3.0, (4, 2), AMONG_MANY), (5.0, (4, 2), 1.0), (3.0, (), 1.0)]
+    ("spacing", "strategy", "share"),
+    [(0.008, "mcmc", AMONG_MANY), (0.012, "mcmc", 1.0), (0.008, "default", 1.0)],
 )
-def test_first_sizes(spacing: float, factors: tuple[int, ...], share: float) -> None:
-    """Gaussians start a tenth as wide as usual where points lie less than a pixel apart in the first images."""
+def test_first_sizes(spacing: float, strategy: str, share: float) -> None:
+    """Gaussians that grow by MCMC start a tenth as wide as usual where points lie close together in the images."""
     capture = toy_capture()
     view = next(iter(capture.train[0].views.values()))
     depth = 2.0
-    step = spacing * depth / view.camera.fx  # of a grid before the camera, whose corners have two neighbours of three
+    # of a grid before the camera, whose corners have two neighbours of three
+    step = spacing * view.camera.width * depth / view.camera.fx
     x, y = np.meshgrid(np.arange(-3, 4) * step, np.arange(-3, 4) * step)
     in_camera = np.stack([x, y, np.full_like(x, depth), np.ones_like(x)], axis=-1).reshape(-1, 4)
     points = (in_camera @ np.linalg.inv(view.viewmat).T)[:, :3].astype(np.float32)
     dense = replace(capture, train=capture.train[:1], points=points, point_colors=np.zeros((49, 3), np.uint8))
-    config = replace(toy_config(), resolution=ResolutionConfig(factors=factors, until=tuple(0.1 for _ in factors)))
+    config = replace(toy_config(), densification=DensificationConfig(strategy=strategy))
     sizes = sets_of(config, dense)["shared"].scales.detach().numpy()
     np.testing.assert_allclose(sizes, share * neighbor_distances(points)[:, None].repeat(3, 1), rtol=1e-5)

@@ -3,7 +3,7 @@
 import dataclasses
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -17,6 +17,7 @@ from thermosplat.config.capture_settings import with_recommendations
 from thermosplat.config.checks import check_config, flattened
 from thermosplat.config.files import files_from_anywhere, load_config, with_given_steps
 from thermosplat.config.run_schedule import in_steps
+from thermosplat.config.values import fill
 from thermosplat.errors import UserError
 
 DEFAULT_PRESET = "thermosplat_plus"
@@ -75,7 +76,7 @@ class TrainArguments(TrainConfig):
     """Show the traceback of an error."""
 
 
-def parse_train_arguments(argv: list[str]) -> TrainConfig:
+def parse_train_arguments(argv: list[str], measured: dict[str, Any] | None = None) -> TrainConfig:
     """The configuration that a command line asks for.
 
     It is parsed twice: once to see which preset or run it starts from, then with that one's values as the defaults, so
@@ -83,6 +84,7 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
 
     Args:
         argv: Arguments without the program's name.
+        measured: Settings by nested names that stand between those of the capture's train.yaml and the flags.
 
     Returns:
         The configuration. With ``resume`` set it is the run's own, with the changes that a resumed run may have.
@@ -108,8 +110,10 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
             f"Take that line out and give the flag: thermosplat-train --resume {shlex.quote(preset.resume)}",
         )
     preset, recommended = with_recommendations(preset, first.data)
+    if measured is not None:
+        preset = fill(preset, measured, source="what the images say")
     config = files_from_anywhere(dataclasses.replace(_parse(argv, preset), config=preset.config))
-    if recommended is not None:
+    if recommended is not None and measured is None:
         print(f"Settings of {recommended} are taken where the command line says nothing else.")
     if not config.data:
         raise UserError(
@@ -117,6 +121,25 @@ def parse_train_arguments(argv: list[str]) -> TrainConfig:
         )
     check_config(config)
     return config
+
+
+def with_measured(argv: list[str], config: TrainConfig, measured: dict[str, Any]) -> TrainConfig:
+    """The configuration that a command line asks for, with what the images of the capture recommend.
+
+    Args:
+        argv: Arguments without the program's name, of a run that begins.
+        config: What ``parse_train_arguments`` made of them.
+        measured: Settings that the command line overrides.
+    """
+    changed = parse_train_arguments(argv, measured) if measured else config
+    taken = [f"{key} {_words(value)}" for key, _, value in _differences(config, changed)]
+    if taken:
+        print(f"Taken since the command line says nothing else: {', '.join(taken)}.")
+    return changed
+
+
+def _words(value: object) -> str:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _resumed(argv: list[str], first: TrainConfig) -> TrainConfig:

@@ -68,7 +68,7 @@ def _train(argv: list[str]) -> int:
         with started_meanwhile(config):
             if config.resume is not None:
                 check_capture_to_go_on_with(config)
-            capture, trainer_class = capture_and_trainer(config)
+            config, capture, trainer_class = capture_and_trainer(argv, config)
         make = _new_trainer if config.resume is None else _resumed_trainer
         trainer = make(config, capture, trainer_class)
     from thermosplat.cli.training.watched_training import watched

@@ -66,7 +66,7 @@ def triangulation_angle(cameras: Sequence[Seen], points: NDArray[np.floating]) -
 def point_spacing(
     cameras: Sequence[Seen], points: NDArray[np.floating], distances: NDArray[np.floating]
 ) -> float | None:
-    """How far apart neighbouring points lie in the images [px], the median over what all cameras see.
+    """How far apart neighbouring points lie in the images [of their width], the median over what all cameras see.
 
     Points that something hides count, too.
 
@@ -83,7 +83,7 @@ def point_spacing(
     found = []
     for one in cameras[:: max(1, len(cameras) // _MOST_CAMERAS)]:
         in_camera, shown = _seen_by(one, places)
-        found.append(one.K[0, 0] * apart[shown] / in_camera[shown, 2])
+        found.append(one.K[0, 0] * apart[shown] / in_camera[shown, 2] / one.width)
     spacings = np.concatenate(found) if found else np.zeros(0)
     return float(np.median(spacings)) if len(spacings) else None
 

@@ -1,17 +1,20 @@
 """Captures that train without a word and come out wrong: one thing is changed in a good one, and that is said."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.capture import Capture, Frame, View
+from thermosplat.prepare.checking.findings import recommended_by
 from thermosplat.prepare.checking.plausible_temperatures import temperature_notes
-from thermosplat.prepare.checking.quick_check import wrong_notes
+from thermosplat.prepare.checking.quick_check import wrong_findings
 from thermosplat.spectra import CELSIUS, DEFAULT_SPECTRA
 from thermosplat.thermal.radiometry import PixelScale
 
@@ -22,6 +25,10 @@ Change = Callable[[int, Views], View]
 @pytest.fixture(scope="module")
 def good() -> Capture:
     return load_capture("sample")
+
+
+def wrong_notes(capture: Capture) -> list[str]:
+    return [one.sentence for one in wrong_findings(capture, DEFAULT_SPECTRA)]
 
 
 def changed(capture: Capture, spectra: tuple[str, ...], change: Change) -> Capture:
@@ -66,7 +73,7 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def test_good_captures_are_left_alone(good: Capture) -> None:
     """Nothing is said of the sample, in memory or on the disk, nor of points that were made up or have no colours."""
-    assert wrong_notes(good, DEFAULT_SPECTRA) == []
+    assert wrong_notes(good) == []
     noise = np.random.default_rng(0)
     made_up = replace(
         good,
@@ -74,12 +81,12 @@ def test_good_captures_are_left_alone(good: Capture) -> None:
         point_colors=noise.integers(0, 256, good.point_colors.shape, np.uint8),
         notes=("Without points: starting from 50,000 random points around the cameras.",),
     )
-    assert wrong_notes(made_up, DEFAULT_SPECTRA) == []
+    assert wrong_notes(made_up) == []
     grey = replace(good, point_colors=np.full_like(good.point_colors, 128))
-    assert wrong_notes(grey, DEFAULT_SPECTRA) == []
+    assert wrong_notes(grey) == []
     on_disk = load_capture("sample", image_memory=1e-4)
     assert on_disk.on_disk is not None
-    assert wrong_notes(on_disk, DEFAULT_SPECTRA) == []
+    assert wrong_notes(on_disk) == []
 
 
 @pytest.mark.rotating
@@ -107,7 +114,7 @@ def test_good_captures_are_left_alone(good: Capture) -> None:
 )
 def test_one_thing_that_is_wrong(good: Capture, spectra: tuple[str, ...], change: Change, said: str) -> None:
     """It is said in one sentence, and nothing else is."""
-    (note,) = wrong_notes(changed(good, spectra, change), DEFAULT_SPECTRA)
+    (note,) = wrong_notes(changed(good, spectra, change))
     with pytest.raises(AssertionError, match=said):
         raise AssertionError(note)
 
@@ -115,8 +122,33 @@ def test_one_thing_that_is_wrong(good: Capture, spectra: tuple[str, ...], change
 def test_points_of_another_place(good: Capture) -> None:
     """Points that no photograph shows are told, also where they have no colours to compare."""
     grey = np.full_like(good.point_colors, 128)
-    (note,) = wrong_notes(replace(good, points=good.points + 1000, point_colors=grey), DEFAULT_SPECTRA)
+    (note,) = wrong_notes(replace(good, points=good.points + 1000, point_colors=grey))
     assert "100% of the sparse points lie in no photograph" in note
+
+
+def turned(degrees: float, seed: int) -> NDArray[np.float64]:
+    """[4, 4], a turn about an axis that chance chooses."""
+    axis = np.random.default_rng(seed).normal(size=3)
+    turn = np.eye(4)
+    turn[:3, :3] = cv2.Rodrigues(np.radians(degrees) * axis / np.linalg.norm(axis))[0]
+    return turn
+
+
+@pytest.mark.parametrize(
+    ("degrees", "said", "settings"),
+    [
+        (0.02, None, {}),
+        (0.5, "Poses of RGB images are inexact: .* --refine poses corrects them", {"refine": ["poses"]}),
+        (25.0, "Poses of RGB images are wrong: .* Find them anew", {}),
+    ],
+)
+def test_inexact_poses(good: Capture, degrees: float, said: str | None, settings: dict[str, list[str]]) -> None:
+    """Poses that are off by half a degree are corrected while training; without points nothing else can tell."""
+    off = changed(good, BOTH, pose(lambda place, views: turned(degrees, place) @ views[place].viewmat))
+    found = wrong_findings(replace(off, points=off.points[:0], point_colors=off.point_colors[:0]), DEFAULT_SPECTRA)
+    assert [bool(re.search(said or "", one.sentence)) for one in found] == ([True] if said else [])
+    assert recommended_by(found) == settings
+    assert not any("Poses" in one.sentence for one in wrong_findings(off, DEFAULT_SPECTRA, ["poses"])) or degrees > 1
 
 
 def measured(good: Capture, celsius: NDArray[np.float32]) -> list[View]:

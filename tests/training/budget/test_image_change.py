@@ -3,7 +3,10 @@
 import pytest
 import torch
 
+from labelled_toy import LABELS, labelled_capture
+from thermosplat.datasets.frame_tensors import frame_tensors
 from thermosplat.training.budget.image_change import ImageChange, most_within
+from thermosplat.training.budget.opacity_sensitivities import opacity_sensitivities
 from toy_scene import render, toy_capture, toy_config, toy_frame, toy_model
 
 
@@ -101,3 +104,18 @@ def test_the_largest_number_within_a_tolerance(tolerance: float) -> None:
     change = Linear()
     found = most_within(change, 250, change.apply, tolerance)  # type: ignore[arg-type]
     assert found == change.made == min(round(100 * tolerance), 250)
+
+
+def test_labels_change_with_their_probabilities() -> None:
+    """A change that flips no class counts a little; classes that flip are no leap."""
+    capture = labelled_capture()
+    model = toy_model(toy_config(spectra={"labels": LABELS}), capture)
+    frame = frame_tensors(capture.train[0], capture.scales, "cpu").only(("labels",))
+    change = ImageChange(model, [frame], 1)
+    shown = model.render(frame.views, sh_degree=1).images["labels"]
+    with torch.no_grad():
+        model.gaussians("shared").features += 1e-4
+    assert torch.equal(model.render(frame.views, sh_degree=1).images["labels"], shown)
+    assert 0 < change.now() < 1e-4
+    found = opacity_sensitivities(model, [frame], 1, {"labels": 1.0})
+    assert found["shared"].sum() > 0

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from thermosplat.cli.arguments import with_measured
 from thermosplat.cli.host_settings import importing
 from thermosplat.errors import UserError
 
@@ -27,18 +28,30 @@ def check_capture_to_go_on_with(config: "TrainConfig") -> None:
         )
 
 
-def capture_and_trainer(config: "TrainConfig") -> tuple["Capture", type["Trainer"]]:
-    """The capture, and the trainer's class: images are read while torch and the trainer are imported."""
+def capture_and_trainer(argv: list[str], config: "TrainConfig") -> tuple["TrainConfig", "Capture", type["Trainer"]]:
+    """What to train with, on and by: images are read while torch and the trainer are imported.
+
+    Args:
+        argv: Arguments of the command, without the program's name.
+        config: The configuration that they ask for.
+
+    Returns:
+        The configuration, with what the images of a run that begins recommend where the command says nothing else; the
+        capture; and the trainer's class.
+    """
     with importing():
         from thermosplat.datasets import capture_of  # takes no torch
 
     with ThreadPoolExecutor(max_workers=1) as thread:
         reading = thread.submit(capture_of, config)
         with importing():
-            from thermosplat.prepare.checking.quick_check import quick_notes
+            from thermosplat.prepare.checking.findings import recommended_by
+            from thermosplat.prepare.checking.quick_check import quick_findings
             from thermosplat.training.trainer import Trainer
 
         capture = reading.result()
         if config.resume is None:  # a run that goes on was told when it began
-            capture = replace(capture, notes=(*capture.notes, *quick_notes(capture, config.spectra)))
-        return capture, Trainer
+            findings = quick_findings(capture, config.spectra, config.refine)
+            capture = replace(capture, notes=(*capture.notes, *(one.sentence for one in findings)))
+            config = with_measured(argv, config, recommended_by(findings))
+        return config, capture, Trainer

@@ -104,7 +104,8 @@ class RankOfTraining:
 
     def _train_in(self, team: Team) -> int:
         config = team.asked_of_first(lambda: parse_train_arguments(self.argv))
-        capture = team.done_by_all(lambda: _capture(config))
+        asked, capture = team.done_by_all(lambda: self._capture(config))
+        config = team.asked_of_first(lambda: asked)
         with importing():
             from thermosplat.cli.training.watched_training import watched_by_first
             from thermosplat.stop_signals import stopped_by_signals
@@ -159,6 +160,11 @@ class RankOfTraining:
         team.asked_of_first(create)
         return trainer
 
+    def _capture(self, config: "TrainConfig") -> tuple["TrainConfig", "Capture"]:
+        if config.resume is not None:
+            check_capture_to_go_on_with(config)
+        return capture_and_trainer(self.argv, config)[:2]
+
     def _tell_death(self, name: str) -> None:
         """Say that another rank died; called by the thread that noticed."""
         print_error(
@@ -187,12 +193,6 @@ class RankOfTraining:
         if self.finish_writing is not None:
             self.finish_writing()
         return self.run.latest_checkpoint() if self.run.ckpts.is_dir() else None
-
-
-def _capture(config: "TrainConfig") -> "Capture":
-    if config.resume is not None:
-        check_capture_to_go_on_with(config)
-    return capture_and_trainer(config)[0]
 
 
 def _device_asked(argv: list[str]) -> str:

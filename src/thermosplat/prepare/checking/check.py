@@ -20,10 +20,16 @@ from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, PairRow
 from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
-from thermosplat.prepare.checking.findings import Finding, msx_findings, texture_findings, thermal_findings
+from thermosplat.prepare.checking.findings import (
+    Finding,
+    msx_findings,
+    recommended_by,
+    texture_findings,
+    thermal_findings,
+)
 from thermosplat.prepare.checking.plane_warp import PlaneWarp, read_warps
 from thermosplat.prepare.checking.point_levels import PointLevels, point_levels
-from thermosplat.prepare.checking.quick_check import wrong_notes
+from thermosplat.prepare.checking.quick_check import wrong_findings
 from thermosplat.prepare.checking.sensor_orientation import find_orientation, orientation_as_registered
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.progress import tracked
@@ -120,7 +126,7 @@ def read_findings(root: Path) -> list[Finding]:
     """
     capture = load_capture(root)
     notes = [Finding("fact", note) for note in capture.notes]
-    return [*notes, *(Finding("warning", note) for note in wrong_notes(capture, DEFAULT_SPECTRA))]
+    return [*notes, *wrong_findings(capture, DEFAULT_SPECTRA)]
 
 
 def recommend(capture: CaptureFolder, findings: Sequence[Finding]) -> None:
@@ -128,9 +134,7 @@ def recommend(capture: CaptureFolder, findings: Sequence[Finding]) -> None:
 
     A registered camera is not refined further: it is more exact than what refining finds (docs/prepare.md).
     """
-    settings: dict[str, Any] = {}
-    for one in findings:
-        settings |= one.recommends
+    settings = recommended_by(findings)
     if settings:
         write_bytes(capture.train_yaml, yaml.safe_dump(settings, sort_keys=True).encode())
     else:

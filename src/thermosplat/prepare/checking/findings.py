@@ -50,6 +50,26 @@ class Finding:
     recommends: Mapping[str, Any] = field(default_factory=dict)
 
 
+def recommended_by(findings: Sequence[Finding]) -> dict[str, Any]:
+    """Settings of the training that help against findings, as train.yaml has them.
+
+    Args:
+        findings: What was found; later ones come on top.
+    """
+    settings: dict[str, Any] = {}
+    for one in findings:
+        _lay_over(settings, one.recommends)
+    return settings
+
+
+def _lay_over(settings: dict[str, Any], more: Mapping[str, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, Mapping):
+            _lay_over(settings.setdefault(key, {}), value)
+        else:
+            settings[key] = value
+
+
 def thermal_findings(
     images: Mapping[str, NDArray[Any]], unit: str | None, levels: PointLevels | None = None
 ) -> list[Finding]:

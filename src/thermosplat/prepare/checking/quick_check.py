@@ -4,7 +4,7 @@ What would train without a word and come out wrong is told here: poses of other 
 other, images that are there twice, temperatures in another unit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.random_points import STARTING_RANDOM
-from thermosplat.prepare.checking.findings import DRIFT_SHARE, level_drift
+from thermosplat.prepare.checking.findings import DRIFT_SHARE, Finding, level_drift
 from thermosplat.prepare.checking.plausible_temperatures import temperature_notes
+from thermosplat.prepare.checking.pose_accuracy import LONG_SIDE, MOST_REFINED, pose_accuracy
 from thermosplat.prepare.checking.posed_photographs import exposure_drift, pose_notes, unseen_share
 from thermosplat.prepare.checking.repeated_images import repeated_notes, shows_something
 from thermosplat.prepare.checking.spectra_together import together_notes
@@ -30,27 +31,35 @@ _EXPOSURE = 0.17
 exposure have up to 0.12."""
 
 
-def quick_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """Notes on what is probably wrong, and on a sensor that drifts without the training allowing for it.
+def quick_findings(
+    capture: Capture, spectra: Mapping[str, SpectrumConfig], refined: Collection[str] = ()
+) -> list[Finding]:
+    """What is probably wrong, and a sensor that drifts without the training allowing for it.
 
     Args:
         capture: The capture, read.
         spectra: The settings that it will be trained with.
+        refined: What of the cameras training corrects.
     """
-    return [*wrong_notes(capture, spectra), *drift_notes(capture, spectra)]
+    drifts = (Finding("warning", note) for note in drift_notes(capture, spectra))
+    return [*wrong_findings(capture, spectra, refined), *drifts]
 
 
-def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """A sentence on each thing that is probably wrong with a capture that can be read.
+def wrong_findings(
+    capture: Capture, spectra: Mapping[str, SpectrumConfig], refined: Collection[str] = ()
+) -> list[Finding]:
+    """A sentence on each thing that is probably wrong with a capture that can be read, and settings that help.
 
     Args:
         capture: The capture, read.
         spectra: The settings that it will be trained with.
+        refined: What of the cameras training corrects.
     """
     frames = sorted((*capture.train, *capture.test), key=lambda frame: frame.name)
     if capture.on_disk is not None:
         frames = [_in_memory(frame) for frame in frames[:: -(-len(frames) // _READ_FROM_DISK)]]
     notes: list[str] = []
+    helped: list[Finding] = []
     points = capture.points[:0] if any(STARTING_RANDOM in note for note in capture.notes) else capture.points
     lead = next((name for name, scale in capture.scales.items() if scale.kind == "photograph"), None)
     if lead is not None and len(points):
@@ -64,10 +73,13 @@ def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
         if not notes and spectra[lead].exposure == "fixed":
             drift = exposure_drift(views, points, capture.point_colors)
             if drift > _EXPOSURE:
-                notes.append(
+                sentence = (
                     f"The exposure of {label(lead)} images varies by {drift:.0%} (standard deviation of what they show "
                     f"of the same points): --{lead}.exposure affine learns it."
                 )
+                helped.append(Finding("warning", sentence, {"spectra": {lead: {"exposure": "affine"}}}))
+    if lead is not None and not notes and "poses" not in refined:
+        helped += _inexact_poses(lead, _views(frames, lead))
     posed = bool(len(points)) and not notes
     held_out = {frame.name for frame in capture.test}
     train, test = ([frame for frame in frames if (frame.name in held_out) is held] for held in (False, True))
@@ -80,7 +92,23 @@ def wrong_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list
             both = [(frame.views[lead], frame.views[name]) for frame in frames if {lead, name} <= set(frame.views)]
             pairs = [pair for pair in both if all(map(shows_something, pair))]
             notes += together_notes(name, pairs, points, posed=posed)
-    return notes
+    return [*(Finding("warning", note) for note in notes), *helped]
+
+
+def _inexact_poses(name: str, views: Sequence[View]) -> list[Finding]:
+    """A sentence (none or one) on poses that another look at the photographs contradicts."""
+    accuracy = pose_accuracy([view for view in views if shows_something(view)])
+    if accuracy is None or not accuracy.inexact:
+        return []
+    lies = (
+        f"what two images share lies {accuracy.stated:.1f} px from where their poses say (median, of images "
+        f"{LONG_SIDE} px wide), and {accuracy.fitted:.1f} px with poses that fit"
+    )
+    if accuracy.stated > MOST_REFINED:
+        remedy = "Find them anew: colmap automatic_reconstructor, or thermosplat-prepare sfm."
+        return [Finding("warning", f"Poses of {label(name)} images are wrong: {lies}. {remedy}")]
+    sentence = f"Poses of {label(name)} images are inexact: {lies}: --refine poses corrects them."
+    return [Finding("warning", sentence, {"refine": ["poses"]})]
 
 
 def _in_memory(frame: Frame) -> Frame:

@@ -285,6 +285,14 @@ class Formation(nn.Module):
         """
         raise NotImplementedError
 
+    def graded(self, rendered: RenderedFrame) -> Tensor:
+        """Its image in values that change little where the scene does, [H, W, K]."""
+        return rendered.images[self.name]
+
+    def graded_truth(self, image: Tensor) -> Tensor:
+        """What ``graded`` should be, [H, W, K], of an image [H, W, channels]."""
+        return image
+
     def numbers(self) -> Mapping[str, float]:
         """What training has found beside images, for metrics.json, by name."""
         return {}

@@ -82,6 +82,15 @@ class LabelFormation(NetworkFormation):
         pure = (colors == torch.stack(colors_of(numbers), dim=-1)) & ((levels - colors).abs() < _MIXED)
         return torch.where(pure.all(dim=-1) & (numbers < len(self.classes)), numbers, _NO_CLASS)
 
+    def graded(self, rendered: RenderedFrame) -> Tensor:
+        """As of ``Formation``: probabilities of the classes; the best class of a pixel flips or stays."""
+        return self.network(rendered.features[self.name]).softmax(dim=-1)
+
+    def graded_truth(self, image: Tensor) -> Tensor:
+        """As of ``Formation``: 1 for the class of a pixel."""
+        classes = self.classes_in(image)
+        return F.one_hot(classes.clamp(min=0), len(self.classes)) * (classes != _NO_CLASS)[..., None].to(image)
+
     def scores(self, image: Tensor, target: Tensor, mask: Tensor | None) -> Mapping[str, float]:
         """As of ``Formation``: intersection over union of each class that either image has, and their mean."""
         counts = torch.ones_like(image[..., 0], dtype=torch.bool) if mask is None else mask

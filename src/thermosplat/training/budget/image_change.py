@@ -68,11 +68,12 @@ class ImageChange:
     def _compared(self, frame: FrameTensors) -> dict[str, tuple[Tensor, Tensor]]:
         """What the model renders of a frame, clamped to [0, 1], and its ground truth, by name of what has one."""
         rendered = self.model.render(frame.views, sh_degree=self.sh_degree, shared_cameras=frame.shared_cameras)
-        compared = {
-            name: (right_outside(image, target, frame.views[name].mask), target)
-            for name, image in rendered.images.items()
-            if (target := frame.views[name].image) is not None
-        }
+        compared = {}
+        for name in rendered.images:
+            view, formation = frame.views[name], rendered.formations[name]
+            if view.image is not None:
+                target = formation.graded_truth(view.image)
+                compared[name] = (right_outside(formation.graded(rendered), target, view.mask), target)
         if self.losses is not None:
             compared |= {term.name: (term.render, term.target) for term in image_terms(rendered, frame, self.losses)}
         return {name: (image.clamp(0.0, 1.0), target) for name, (image, target) in compared.items()}

@@ -99,8 +99,9 @@ def _gradients(
     )
     total = model.background.new_zeros(())
     for name in model.spectra:
-        image, weight = rendered.images.get(name), weights.get(name)
-        if image is not None and weight is not None:
+        weight = weights.get(name)
+        if name in rendered.images and weight is not None:
+            image = rendered.formations[name].graded(rendered)
             drawn = 2 * torch.randint(2, image.shape, generator=signs, dtype=torch.int8, device=image.device) - 1
             total = total + weight**0.5 * (image * drawn.to(image)).sum()
     logits = {name: _logits(model.gaussians(name)) for name in model.gaussian_sets}
