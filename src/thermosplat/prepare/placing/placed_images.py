@@ -39,14 +39,14 @@ _PLAIN, _WITH_CONTOURS = 3, 3
 """Rounds of both kinds."""
 _EDGES_OF_PLAIN, _EDGES_OF = 3, 5
 """Photographs whose edges an image is compared with."""
-_STARTS = 1.5 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-"""Places around GPS from which an image is searched [its standard deviations]."""
+_STARTS = 1.5 * np.concatenate([np.eye(3), -np.eye(3)])
+"""Places around one from which an image is searched [standard deviations of GPS]."""
 _CLEAR = 1.15
 """How many times as well as elsewhere edges must agree for an image to be asked first what thermal images show."""
 _BESIDE = 3
 """Images beside one whose directions are tried."""
-_NOT_TURNED = np.cos(np.radians(25.0))
-"""Cosine of the largest angle between what a start ends at and what the first search found."""
+_NOT_TURNED = 1 + 2 * np.cos(np.radians(25.0))
+"""Trace of the largest turn of an image's last pose against its neighbours' direction."""
 _OF_USUAL, _OFF_GPS = 0.6, 4.0
 """Share of the usual agreement, and standard deviations from GPS, from which on an image is placed wrongly."""
 _ALL = ("log_f", "k1", "cx", "cy", "k2")
@@ -151,7 +151,11 @@ def _beside(number: int, pieces: NDArray[np.int64], right: Sequence[int]) -> lis
 def _best_of_starts(
     scene: Scene, number: int, field: Field, known: Adjusted, shown: Contours, beside: Sequence[int]
 ) -> Pose:
-    """The pose of one image that shows best what the others show."""
+    """The pose of one image that shows best what the others show, and lies where GPS has it.
+
+    Both are judged in standard deviations: edges by their number, as if each were met by chance, GPS by half its
+    square, as likelihoods are.
+    """
     weights, place = shown.weights(number), scene.gps[number] - known.common_error
 
     def search(pose: Pose, turns: Sequence[float], reach: float) -> Trial:
@@ -166,19 +170,20 @@ def _best_of_starts(
             weights=weights,
         )
 
-    directions = [known.poses[near].rotation for near in beside]
-    first = max((search(Pose(one, place), _TURNS, _REACH) for one in directions), key=lambda trial: trial.score).pose
-    found = [known.poses[number]]
-    for start in place + known.deviation * _STARTS:
-        found.append(search(Pose(first.rotation, start), _LAST_TURNS, _LAST_REACH).pose)
-    best, most = first, -np.inf
-    for pose in found:
-        ended = aligned(scene, number, pose, known, _ALONE_STEPS, weights)
-        turned = (np.trace(ended.rotation @ first.rotation.T) - 1) / 2
-        off = np.linalg.norm(ended.centre - place)
-        above, _ = agreement(scene, number, ended, known.lens, weights)
-        if turned > _NOT_TURNED and off < _OFF_GPS * known.deviation and above > most:
-            best, most = ended, above
+    def best_of(poses: Sequence[Pose]) -> tuple[float, Pose]:
+        ended = [aligned(scene, number, pose, known, _ALONE_STEPS, weights) for pose in poses]
+        off = [float(np.linalg.norm(pose.centre - place)) / known.deviation for pose in ended]
+        shows = [agreement(scene, number, pose, known.lens, weights)[0] for pose in ended]
+        return max(zip(np.subtract(shows, np.square(off) / 2), ended), key=lambda one: one[0])
+
+    first = [search(Pose(known.poses[near].rotation, place), _TURNS, _REACH) for near in beside]
+    most, best = best_of([pose for trial in first for pose in (trial.pose, trial.other)])
+    if np.trace(known.poses[number].rotation @ best.rotation.T) > _NOT_TURNED:
+        most, best = max((most, best), best_of([known.poses[number]]), key=lambda one: one[0])
+    for middle in (place, best.centre):
+        starts = [Pose(best.rotation, start) for start in middle + known.deviation * _STARTS]
+        found = best_of([search(start, _LAST_TURNS, _LAST_REACH).pose for start in starts])
+        most, best = max((most, best), found, key=lambda one: one[0])
     return best
 
 

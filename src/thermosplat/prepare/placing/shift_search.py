@@ -32,11 +32,13 @@ class Trial:
     Args:
         score: Normalised correlation of the edges, 1 for the same.
         pose: The pose.
-        clear: How many times the score is that of the next best place or start.
+        other: The next best pose from the same start.
+        clear: How many times the score is that of the next best pose from any start.
     """
 
     score: float
     pose: Pose
+    other: Pose
     clear: float
 
 
@@ -65,19 +67,23 @@ def best_trial(
     """
     found = []
     for start in starts:
-        near, best = photographs.near(start, edges_of), (-np.inf, -np.inf, start)
+        near, peaks = photographs.near(start, edges_of), []
         for turn in turns:
             pose = Pose(turn_about_axis(turn) @ start.rotation, start.centre)
             drawn = _drawn(photographs, near, pose.camera(lens), field, weights)
-            score, other, cells = _best_shift(field, drawn, reach)
-            if score > best[0]:
-                towards = np.array([*cells * lens.width / field.shape[1] / lens.lens[0], 1.0])
-                rotation = rotation_between(np.array([0.0, 0.0, 1.0]), towards / np.linalg.norm(towards))
-                best = score, other, Pose(rotation @ pose.rotation, pose.centre)
-        found.append(best)
-    found.sort(key=lambda one: -one[0])
-    score, other, pose = found[0]
-    return Trial(score, pose, score / max(other, *(one[0] for one in found[1:2]), 1e-9))
+            peaks.append([(score, _shifted(pose, lens, cells)) for score, cells in _peaks(field, drawn, reach)])
+        found.append(max(peaks, key=lambda two: two[0][0]))
+    found.sort(key=lambda two: -two[0][0])
+    (score, pose), (other_score, other) = found[0]
+    return Trial(score, pose, other, score / max(other_score, *(two[0][0] for two in found[1:2]), 1e-9))
+
+
+def _shifted(pose: Pose, lens: RigCamera, cells: Array) -> Pose:
+    """The pose turned so that the middle of the image is seen elsewhere by so many cells."""
+    towards = np.array([*cells * lens.width / SEARCH_WIDTH / lens.lens[0], 1.0])
+    return Pose(
+        rotation_between(np.array([0.0, 0.0, 1.0]), towards / np.linalg.norm(towards)) @ pose.rotation, pose.centre
+    )
 
 
 def _drawn(
@@ -102,8 +108,8 @@ def _drawn(
     return ((parts[0] + 1j * parts[1]) / full).astype(np.complex64)
 
 
-def _best_shift(field: Field, drawn: Field, reach: float) -> tuple[float, float, Array]:
-    """Score of the best agreement, of the best one elsewhere, and the best one's shift [px of the field]."""
+def _peaks(field: Field, drawn: Field, reach: float) -> list[tuple[float, Array]]:
+    """Score and shift [px of the field] of the best agreement, and of the best one elsewhere."""
     (h, w), (tall, wide) = field.shape, drawn.shape
     agreement = np.fft.ifft2(np.fft.fft2(field, drawn.shape) * np.conj(np.fft.fft2(drawn))).real
     window = np.fft.fft2(np.ones((h, w), np.float32), drawn.shape)
@@ -115,7 +121,9 @@ def _best_shift(field: Field, drawn: Field, reach: float) -> tuple[float, float,
     radius = round(reach * w)
     rows, columns = (slice(size // 2 - radius, size // 2 + radius + 1) for size in score.shape)
     near = score[rows, columns]
-    y, x = np.unravel_index(near.argmax(), near.shape)
-    best = float(near[y, x])
-    near[max(0, y - _ONE_PEAK) : y + _ONE_PEAK + 1, max(0, x - _ONE_PEAK) : x + _ONE_PEAK + 1] = -np.inf
-    return best, float(near.max()), np.array([x - radius, y - radius], np.float64)
+    peaks = []
+    for _ in range(2):
+        y, x = np.unravel_index(near.argmax(), near.shape)
+        peaks.append((float(near[y, x]), np.array([x - radius, y - radius], np.float64)))
+        near[max(0, y - _ONE_PEAK) : y + _ONE_PEAK + 1, max(0, x - _ONE_PEAK) : x + _ONE_PEAK + 1] = -np.inf
+    return peaks
