@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from thermosplat.prepare.placing.adjustment import Adjusted, Scene, adjusted, aligned
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
 from thermosplat.prepare.placing.straight_pieces import straight_pieces
-from thermosplat.prepare.placing.thermal_contours import Contours, agreement, contours
+from thermosplat.prepare.placing.thermal_contours import Contours, agreement, contours, spread
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.progress import progress_bar
 from thermosplat.prepare.registration.edge_correlation import FOCAL_LENGTHS, QUARTERS, edge_field, turn_about_axis
@@ -47,8 +47,9 @@ _BESIDE = 3
 """Images beside one whose directions are tried."""
 _NOT_TURNED = 1 + 2 * np.cos(np.radians(25.0))
 """Trace of the largest turn of an image's last pose against its neighbours' direction."""
-_OF_USUAL, _OFF_GPS = 0.6, 4.0
-"""Share of the usual agreement, and standard deviations from GPS, from which on an image is placed wrongly."""
+_OF_USUAL, _OFF_GPS, _LEAST_SPREAD = 0.7, 4.0, 0.05
+"""Share of the usual agreement, standard deviations from GPS, and spread of what is shown [image widths], beyond which
+an image is not placed: edges in a corner say little of the rest. Chosen on a rendered flight."""
 _ALL = ("log_f", "k1", "cx", "cy", "k2")
 _PLAIN_STEPS = [
     *[(_ALL[:1], 10.0, 4.0)] * 3,
@@ -189,8 +190,15 @@ def _best_of_starts(
 
 def _sound(scene: Scene, known: Adjusted, weights: Mapping[int, Array]) -> tuple[list[int], float]:
     """The images that are placed, and the usual share of what others show that an image shows."""
-    shares = {n: agreement(scene, n, pose, known.lens, weights[n])[1] for n, pose in known.poses.items()}
+    lens = known.lens
+    shares = {n: agreement(scene, n, pose, lens, weights[n])[1] for n, pose in known.poses.items()}
     usual = float(np.median(list(shares.values())))
     off = {n: np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in known.poses.items()}
-    right = [n for n in shares if shares[n] > _OF_USUAL * usual and off[n] < _OFF_GPS * known.deviation]
+    right = [
+        n
+        for n, pose in known.poses.items()
+        if shares[n] > _OF_USUAL * usual
+        and off[n] < _OFF_GPS * known.deviation
+        and spread(scene, n, pose, lens, weights[n]) > _LEAST_SPREAD
+    ]
     return right, usual

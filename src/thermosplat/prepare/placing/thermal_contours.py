@@ -25,6 +25,9 @@ _BEFORE, _OF = 0.3, 1.0
 _BY_CHANCE, _SURELY = 0.15, 0.75
 """Shares of images from which on an edge point counts, and counts fully: noise meets one in seven."""
 
+_FEWEST_SHOWN = 3
+"""Edge points that have a spread."""
+
 
 @dataclass(frozen=True, eq=False)
 class Contours:
@@ -83,6 +86,16 @@ def agreement(scene: Scene, number: int, pose: Pose, lens: RigCamera, weights: A
     above = weight[0][0] - (weight[1][0] + weight[2][0]) / 2
     inside = max(weight[0][1], 1.0)
     return float(above / np.sqrt(inside)), float(above / inside)
+
+
+def spread(scene: Scene, number: int, pose: Pose, lens: RigCamera, weights: Array) -> float:
+    """Standard deviation [image widths] of the shown edge points' places across the line that they lie nearest to."""
+    numbers, met = _met(scene, number, pose, lens, 0.0, weights)
+    shown = numbers[met]
+    if len(shown) < _FEWEST_SHOWN:
+        return 0.0
+    pixels, _ = pose.camera(lens).project(scene.photographs.edges.points[shown])
+    return float(np.sqrt(np.linalg.eigvalsh(np.cov(pixels.T, aweights=weights[shown])).clip(0)[0])) / lens.width
 
 
 def _met(
