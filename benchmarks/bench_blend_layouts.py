@@ -24,7 +24,8 @@ from thermosplat.runs.atomic_writes import write_text
 from thermosplat.torch_bridge.arrays import view
 from thermosplat.torch_bridge.streams import on_torch_stream
 from warp_kernels.blending.blend_layout import BlendLayout
-from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.blending.blended_arrays import BlendedArrays
+from warp_kernels.blending.blending_step import blend
 from warp_kernels.projection.projection import ProjectionSettings
 
 

@@ -35,10 +35,11 @@ with importing():
     from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers, image_layer
     from thermosplat.viewer.opening import open_scene
     from thermosplat.viewer.pace import Pace
-    from thermosplat.viewer.session import ViewSession, start_wish
+    from thermosplat.viewer.session import ViewSession
     from thermosplat.viewer.turns import OneAtATime
     from thermosplat.viewer.viewed_scene import ViewedScene, frame_bookmark
     from thermosplat.viewer.visitor import MOVING_QUALITY
+    from thermosplat.viewer.wish import start_wish
 
 IMPORTED = time.perf_counter()
 PARTS = ("render", "decode", "values", "display", "jpeg")

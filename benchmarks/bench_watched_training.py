@@ -34,11 +34,12 @@ from thermosplat.runs.atomic_writes import write_text  # noqa: E402
 from thermosplat.runs.environment import environment  # noqa: E402
 from thermosplat.training.trainer import Trainer  # noqa: E402
 from thermosplat.viewer.layers import LayerRenderer, available_layers  # noqa: E402
-from thermosplat.viewer.session import ViewSession, start_wish  # noqa: E402
+from thermosplat.viewer.session import ViewSession  # noqa: E402
 from thermosplat.viewer.training_watch import TrainingWatch  # noqa: E402
 from thermosplat.viewer.turns import ViewingEnded  # noqa: E402
 from thermosplat.viewer.viewed_scene import ViewedScene, frame_bookmark  # noqa: E402
 from thermosplat.viewer.visitor import MOVING_QUALITY  # noqa: E402
+from thermosplat.viewer.wish import start_wish  # noqa: E402
 from training.command import apart  # noqa: E402
 from training.frozen_training import quiet_trainer  # noqa: E402
 

@@ -112,7 +112,6 @@ def test_lists_of_labels() -> None:
     assert listed(["rgb"]) == "RGB"
     assert listed(["rgb", "thermal"]) == "RGB and thermal"
     assert listed(["rgb", "nir", "red_edge"]) == "RGB, NIR and red edge"
-    assert listed(["rgb", "nir"], "or") == "RGB or NIR"
 
 
 def test_units_for_people() -> None:

@@ -11,7 +11,8 @@ import warp as wp
 
 from warp_kernels.binning.binning_step import bin_tiles
 from warp_kernels.binning.tile_bins import TileBins
-from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.blending.blended_arrays import BlendedArrays
+from warp_kernels.blending.blending_step import blend
 from warp_kernels.projection.plain_camera_step import project_gaussians
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 
@@ -36,7 +37,6 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
 
     Args:
         entries: images · N.
-        dtype: ``wp.float32`` or ``wp.float64``.
         device: where they live.
         requires_grad: give them gradients.
 

@@ -9,7 +9,8 @@ from torch import Tensor
 from measuring.timing import time_interleaved
 from thermosplat.torch_bridge.streams import on_torch_stream
 from warp_kernels.binning.binning_step import bin_tiles
-from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.blending.blended_arrays import BlendedArrays
+from warp_kernels.blending.blending_step import blend
 from warp_kernels.color.color_step import ColorArrays, ColorSettings, sh_colors, sh_colors_adjoint
 from warp_kernels.projection.plain_camera_step import project_gaussians, project_gaussians_adjoint
 from warp_kernels.projection.projection import GaussianArrays, ProjectionSettings

@@ -22,6 +22,7 @@ from thermosplat.config import TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.losses.image_terms import compare_frame, image_terms
 from thermosplat.scene.model import RenderedFrame
+from thermosplat.training.optimizers import gradients_to_watch
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
 from training.step_parts import profiled
@@ -98,7 +99,9 @@ def _bookkeeping(trainer: Trainer, frame: FrameTensors, peaks: DevicePeaks, repe
             strategy.observe(done.rendered.infos.get(name, []), blocked)
 
     calls: dict[str, Callable[[], object]] = {
-        "finite check": lambda: step.guard.observe(state.step_on_device, done.losses, state.gradients_to_watch()),
+        "finite check": lambda: step.guard.observe(
+            state.step_on_device, done.losses, gradients_to_watch(state.optimizers)
+        ),
         "densification bookkeeping": noted,
     }
     times = _milliseconds(trainer, calls, repeats)

@@ -147,19 +147,6 @@ def test_resume_takes_the_runs_configuration(run_folder: Path) -> None:
     assert config == replace(load_config(run_folder / "config.yaml"), resume=str(run_folder))
 
 
-def test_resume_of_a_run_of_version_0_1(run_folder: Path) -> None:
-    """Its config.yaml has old names; today's flags are compared with what they said."""
-    old = "config: demo\ndata: data/shed\nmodel: {thermal: false}\nloss: {thermal_smoothness: 0.1}\n"
-    (run_folder / "config.yaml").write_text(old)
-    config = parse_train_arguments(["--resume", str(run_folder), "--without", "thermal", "--thermal.smoothness", "0.1"])
-    assert list(config.modelled) == ["rgb"]
-    assert config.spectra["thermal"].smoothness == 0.1
-    with pytest.raises(
-        UserError, match=r"was trained with spectra\.thermal\.smoothness=0\.1, the command asks for 0\.3"
-    ):
-        parse_train_arguments(["--resume", str(run_folder), "--thermal.smoothness", "0.3"])
-
-
 def test_resume_knows_the_runs_spectra(run_folder: Path) -> None:
     """Flags of a spectrum that the run's configuration defines are compared with it."""
     config = with_spectra(load_config(run_folder / "config.yaml"), nir={"loss": 0.5})

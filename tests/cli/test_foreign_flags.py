@@ -7,7 +7,7 @@ import pytest
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.foreign_flags import refuse_foreign_flags, without_gone_flags
-from thermosplat.config.renamed import GONE, NEW_NAMES, gone
+from thermosplat.config.gone_settings import GONE
 from thermosplat.errors import UserError
 
 MIGRATING = Path(__file__).parents[2] / "docs" / "migrating.md"
@@ -25,12 +25,6 @@ MIGRATING = Path(__file__).parents[2] / "docs" / "migrating.md"
         (["data/shed", "-m", "out"], "--result-dir"),
         (["data/shed", "--lambda_dssim", "0.2"], "--loss.ssim-lambda"),
         (["data/shed", "--antialiasing"], GONE["model.rasterize_mode"].why),
-        (["data/shed", "--model.no-thermal"], "--without thermal"),
-        (["data/shed", "--model.no-rgb"], "--without rgb"),
-        (["data/shed", "--model.no-geometric-decoupling"], "--thermal.opacity shared"),
-        (["data/shed", "--model.geometric-decoupling"], "--thermal.opacity offset"),
-        (["data/shed", "--decoder.no-hybrid-rgb"], "--decoder.no-hybrid"),
-        (["data/shed", "--densification.decompose_threshold=2e-4"], "--densification.strategy decomposing"),
     ],
 )
 def test_flags_of_other_trainers(words: list[str], hint: str) -> None:
@@ -62,21 +56,6 @@ def test_every_flag_of_the_migration_table_has_a_hint() -> None:
                     refused([flag, "x"])
                 said = f"{caught.value.message} {caught.value.hint}"
                 assert any(word in said for word in ours or [row[-1].strip()]), flag
-
-
-@pytest.mark.parametrize(
-    "old",
-    [old for old, new in NEW_NAMES.items() if old != new.removeprefix("spectra.") and gone(old) is None],
-)
-def test_flags_of_version_0_1(old: str) -> None:
-    """Every setting that has another name today is led to it, and the flag that the hint names is understood."""
-    given = f"--{old.replace('_', '-')}"
-    with pytest.raises(UserError, match=f"has no flag {given}") as caught:
-        parse_train_arguments(["data/shed", given, "0.5"])
-    flag = caught.value.hint.removeprefix("The flag here: ")
-    values = {"--thermal.range": ["1", "2"], "--thermal.opacity": ["own"], "--decoder.hybrid": []}
-    if flag not in ("--thermal.start", "--rgb.train-until"):  # excluded by checks where they stand alone
-        parse_train_arguments(["data/shed", flag, *values.get(flag, ["0.5"])])
 
 
 def flags_of(name: str, value: Any) -> list[list[str]]:

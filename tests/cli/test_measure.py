@@ -15,8 +15,9 @@ from thermosplat.thermography.measurements_file import read_book
 from thermosplat.viewer.layers import Layer, LayerRenderer
 from thermosplat.viewer.measuring import Measurer
 from thermosplat.viewer.opening import open_scene
-from thermosplat.viewer.session import ViewSession, Wish
+from thermosplat.viewer.session import ViewSession
 from thermosplat.viewer.turns import OneAtATime
+from thermosplat.viewer.wish import Wish
 
 
 def test_viewer_command_and_python_agree(run: Run, finished: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from thermosplat.comparison.changes import find_changes
-from thermosplat.comparison.compare import _said
+from thermosplat.comparison.compare import changes_said
 from thermosplat.comparison.dated_map import DatedMap
 
 SIZE, PIXEL, SHIFT = 160, 0.05, -6.0
@@ -98,9 +98,9 @@ def test_another_season() -> None:
     heights[:, : SIZE // 3] = 3.0
     leaves[:, : SIZE // 3] = 5.0 + 3.0 * (np.arange(SIZE) // 8 % 2)[:, None]
     found = find_changes(shown(houses(), noise=1), shown(leaves, heights, noise=2), PIXEL)
-    assert "% of the surface has another height: leaves or snow" in _said("july", "march", found, "celsius")
+    assert "% of the surface has another height: leaves or snow" in changes_said("july", "march", found, "celsius")
     same = find_changes(shown(houses(), noise=1), shown(houses(), noise=2), PIXEL)
-    assert "leaves" not in _said("july", "march", same, "celsius")
+    assert "leaves" not in changes_said("july", "march", same, "celsius")
 
 
 def test_dates_that_show_nothing_in_common() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thermosplat.comparison.shared_frame import _agreeing, _matched, _together
+from thermosplat.comparison.shared_frame import agreeing, matched, together
 from thermosplat.export.maps.map_frame import MapFrame
 
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -24,7 +24,7 @@ def matched_points(wrong: float, scale: float = 1.7) -> tuple[np.ndarray, np.nda
 def test_the_similarity_of_most_points(wrong: float) -> None:
     """Its scale, turn and place are exact to a fraction of the points' error, whatever the others say."""
     source, target = matched_points(wrong)
-    found = _together(source, target, np.full(len(source), 30.0))
+    found = together(source, target, np.full(len(source), 30.0))
     places = np.random.default_rng(1).uniform(-20, 20, (50, 3))
     truth = MapFrame(TURN, 1.7, np.array([3.0, -2.0, 1.0])).to_map(places)
     assert np.abs(found.to_first.to_map(places) - truth).max() < 0.02
@@ -35,18 +35,18 @@ def test_the_similarity_of_most_points(wrong: float) -> None:
 def test_points_that_have_nothing_in_common() -> None:
     """No similarity brings a tenth of them together."""
     source, target = matched_points(1.0)
-    assert _agreeing(source, target, 0.3).mean() < 0.1
+    assert agreeing(source, target, 0.3).mean() < 0.1
 
 
 def test_descriptors_match_both_ways_and_clearly() -> None:
     """One that has two likenesses of the same strength has none."""
     ours = np.linalg.qr(np.random.default_rng(0).normal(size=(128, 20)))[0].T.astype(np.float32)
     theirs = ours[[3, 7, 7, 11]]
-    near, far = _matched(ours[[7, 3, 11]], theirs)
+    near, far = matched(ours[[7, 3, 11]], theirs)
     assert set(zip(near.tolist(), far.tolist())) == {(1, 0), (0, 1), (2, 3)}
-    twice = _matched(np.concatenate([ours[:5], ours[:1]]), ours[:1])
+    twice = matched(np.concatenate([ours[:5], ours[:1]]), ours[:1])
     assert not len(twice[0])
-    assert not len(_matched(ours[:1], ours)[0])
+    assert not len(matched(ours[:1], ours)[0])
 
 
 def test_a_map_of_a_scene_inside_another() -> None:

@@ -167,7 +167,10 @@ def test_presets_are_found_in_a_wheel(tmp_path: Path, monkeypatch: pytest.Monkey
         ("max_steps: true\n", '"max_steps" must be a whole number, found True'),
         ("model:\n  gaussian_sets: sepparate\n", 'must be one of "shared", "separate", found \'sepparate\''),
         ("background: [0, 0]\n", '"background" must be a list of 3, each a number'),
-        ("thermal:\n  range_celsius: hot\n", '"spectra.thermal.range" must be a list of 2, each a number or null'),
+        (
+            "spectra:\n  thermal:\n    range: hot\n",
+            '"spectra.thermal.range" must be a list of 2, each a number',
+        ),
         ("spectra:\n  thermal:\n    rang: 3\n", 'unknown key "spectra.thermal.rang" (did you mean "range"?)'),
         ("spectra:\n  nir:\n    opacity: sharde\n", "found 'sharde' (did you mean \"shared\"?)"),
         ("spectra: nir\n", "\"spectra\" holds groups of settings by name, found 'nir'"),

@@ -13,7 +13,7 @@ def test_a_container_may_have_less_than_its_host(tmp_path: Path, monkeypatch: py
     """Control groups of either version; no limit is written as a word."""
     of_host = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     limit = tmp_path / "memory.max"
-    monkeypatch.setattr(host_memory, "_LIMITS", (limit, tmp_path / "none"))
+    monkeypatch.setattr(host_memory, "LIMITS", (limit, tmp_path / "none"))
     assert found_memory() == of_host
     limit.write_text("max\n")
     assert found_memory() == of_host

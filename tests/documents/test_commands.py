@@ -18,7 +18,7 @@ from thermosplat.cli.preparing.files import CheckArguments, ImportArguments, Pai
 from thermosplat.cli.render import RenderArguments
 from thermosplat.cli.view import ViewArguments
 from thermosplat.config import TrainConfig
-from thermosplat.config.renamed import GONE
+from thermosplat.config.gone_settings import GONE
 from thermosplat.export.splat_fit.fitted_splats import PASSES
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 

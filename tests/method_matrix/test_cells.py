@@ -83,10 +83,9 @@ def test_groups_of_methods() -> None:
 
 def test_held_out_views_are_left_to_the_end() -> None:
     """No evaluation on the way; checkpoints as asked for; the other settings are the preset's."""
-    config = cell_config("mmone", SAMPLE, 7, max_steps=100, save_every=40, max_gaussians=500, data_factor=2)
+    config = cell_config("mmone", SAMPLE, 7, max_steps=100, save_every=40, data_factor=2)
     assert (config.eval_steps, config.save_steps) == ((), (40, 80))
     assert (config.seed, config.data, config.data_factor) == (7, "sample", 2)
-    assert config.densification.max_gaussians == 500
     assert config.loss == load_config("mmone").loss
 
 

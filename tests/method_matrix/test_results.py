@@ -3,16 +3,13 @@
 import csv
 import json
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from made_cells import made_cell
-from thermosplat.config import TrainConfig
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cell_result import CellResult, write_cell
-from thermosplat.method_matrix.cells import settings
 from thermosplat.method_matrix.results import Results
 
 
@@ -103,21 +100,3 @@ def test_spectra_and_their_measured_errors(tmp_path: Path) -> None:
     assert rows["a"]["mae_reflectance"] == ""
     again = Results.collect(tmp_path / "elsewhere", [tmp_path / "results.json"])
     assert again.cells == results.cells
-
-
-def test_cells_of_both_formats_come_together(tmp_path: Path) -> None:
-    """A results.json of version 0.1 merges with run folders of today's, if the settings are the same."""
-    new = made_cell("lab", "3dgs", settings=settings(TrainConfig()))
-    put(tmp_path / "new", new)
-    old = {"format": 1, **asdict(made_cell("desk", "3dgs")), "settings": {}}
-    old |= old.pop("spectra")
-    same = old | {"scene": "lab", "settings": {"loss": {"thermal": 1.0}}}
-    (tmp_path / "results.json").write_text(json.dumps({"format": 1, "cells": [old, same]}))
-    results = Results.collect(tmp_path / "new", [tmp_path / "results.json"])
-    assert results.scenes() == ["desk", "lab"]
-    assert results.cells[new.cell] == new
-    assert results.spectra() == ["rgb", "thermal"]
-    other = same | {"settings": {"loss": {"thermal": 0.5}}}
-    (tmp_path / "results.json").write_text(json.dumps({"format": 1, "cells": [other]}))
-    with pytest.raises(UserError, match=r"spectra.thermal.loss=1.0, now 0.5"):
-        Results.collect(tmp_path / "new", [tmp_path / "results.json"])

@@ -37,14 +37,6 @@ def test_panels_come_back(tmp_path: Path) -> None:
     assert read_panels(tmp_path / "nowhere") == {}
 
 
-def test_panels_of_the_first_version_are_read(tmp_path: Path) -> None:
-    """Its index says "modality"."""
-    toy_panels(tmp_path)
-    index = tmp_path / "panels" / "panels.json"
-    index.write_text(index.read_text().replace('"spectrum"', '"modality"'))
-    assert set(read_panels(tmp_path)) == {("a", "rgb"), ("a", "thermal")}
-
-
 def test_three_spectra_have_panels_in_their_order(tmp_path: Path) -> None:
     """Values are shown by their palette; a method without the third spectrum is black there."""
     toy_panels(tmp_path / "three", others=("nir",), spectra={"nir": {"opacity": "own"}})

@@ -48,7 +48,7 @@ def test_same_images_and_gradients(
     device: torch.device, config: dict[str, Any], aligned: bool, parameters: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All models, by one traversal or a call per spectrum: rows have their gradients, and no parameter of them."""
-    monkeypatch.setattr(subject, "_PROJECTED_AT_ONCE", 7)
+    monkeypatch.setattr(subject, "PROJECTED_AT_ONCE", 7)
     whole, frame = scene(device, aligned, **config)
     some, _ = scene(device, aligned, **config)
     for name in some.gaussian_sets:

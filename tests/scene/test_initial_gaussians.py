@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from thermosplat.config import DensificationConfig, TrainConfig
-from thermosplat.datasets.capture import Capture
+from thermosplat.config import DensificationConfig, ResolutionConfig, TrainConfig
+from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import AMONG_MANY, initial_gaussians
@@ -49,20 +49,30 @@ def test_colours_of_separate_sets() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spacing", "strategy", "share"),
-    [(0.008, "mcmc", AMONG_MANY), (0.012, "mcmc", 1.0), (0.008, "default", 1.0)],
+    ("spacing", "strategy", "factors", "share"),
+    [
+        (0.009, "mcmc", (4,), AMONG_MANY),
+        (0.012, "mcmc", (4,), 1.0),
+        (0.009, "mcmc", (), 1.0),  # more than a pixel of the first images
+        (0.009, "default", (4,), 1.0),
+    ],
 )
-def test_first_sizes(spacing: float, strategy: str, share: float) -> None:
+def test_first_sizes(spacing: float, strategy: str, factors: tuple[int, ...], share: float) -> None:
     """Gaussians that grow by MCMC start a tenth as wide as usual where points lie close together in the images."""
     capture = toy_capture()
-    view = next(iter(capture.train[0].views.values()))
+    name, view = next(iter(capture.train[0].views.items()))
+    view = replace(view, camera=view.camera.resized(240, 180))
     depth = 2.0
     # of a grid before the camera, whose corners have two neighbours of three
     step = spacing * view.camera.width * depth / view.camera.fx
     x, y = np.meshgrid(np.arange(-3, 4) * step, np.arange(-3, 4) * step)
     in_camera = np.stack([x, y, np.full_like(x, depth), np.ones_like(x)], axis=-1).reshape(-1, 4)
     points = (in_camera @ np.linalg.inv(view.viewmat).T)[:, :3].astype(np.float32)
-    dense = replace(capture, train=capture.train[:1], points=points, point_colors=np.zeros((49, 3), np.uint8))
-    config = replace(toy_config(), densification=DensificationConfig(strategy=strategy))
+    dense = replace(capture, train=(Frame("a", {name: view}),), points=points, point_colors=np.zeros((49, 3), np.uint8))
+    config = replace(
+        toy_config(),
+        densification=DensificationConfig(strategy=strategy),
+        resolution=ResolutionConfig(factors=factors, until=tuple(0.1 for _ in factors)),
+    )
     sizes = sets_of(config, dense)["shared"].scales.detach().numpy()
     np.testing.assert_allclose(sizes, share * neighbor_distances(points)[:, None].repeat(3, 1), rtol=1e-5)

@@ -32,7 +32,7 @@ def test_one_kernel_for_the_activations_changes_nothing(
     spectra = list(model.spectra)
     results, gradients = [], []
     for by_one_kernel in (True, False):
-        monkeypatch.setattr(gaussian_views, "_activated_by_one_kernel", lambda _, chosen=by_one_kernel: chosen)
+        monkeypatch.setattr(gaussian_views, "activated_by_one_kernel", lambda _, chosen=by_one_kernel: chosen)
         rendered = render(model, frame)
         depths = [model.render_depth(name, frame.views[name], expected=True) for name in spectra]
         results.append([rendered.images[name] for name in spectra] + depths)
@@ -51,4 +51,4 @@ def test_one_kernel_for_the_activations_changes_nothing(
 def test_activations_are_one_kernel_on_cuda(device: torch.device) -> None:
     """Torch's own are used on the CPU alone, where they are vectorised."""
     gaussians = toy_model(toy_config(), toy_capture()).gaussians("shared").to(device)
-    assert gaussian_views._activated_by_one_kernel(gaussians) == (device.type == "cuda")
+    assert gaussian_views.activated_by_one_kernel(gaussians) == (device.type == "cuda")

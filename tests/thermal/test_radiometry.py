@@ -153,13 +153,6 @@ def test_scale_survives_a_checkpoint(span: tuple[float, float] | None, unit: str
     assert PixelScale.from_state_dict(json.loads(json.dumps(scale.state_dict()))) == scale
 
 
-@pytest.mark.parametrize(("span", "unit"), [(None, None), ((20.0, 41.5), "celsius")])
-def test_scale_of_a_checkpoint_of_version_0_1(span: tuple[float, float] | None, unit: str | None):
-    """It had temperatures only."""
-    old = {"kind": "color", "palette": FLIR_IRON.colors.tolist(), "range_celsius": span}
-    assert PixelScale.from_state_dict(json.loads(json.dumps(old))) == PixelScale("color", FLIR_IRON, span, unit)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [

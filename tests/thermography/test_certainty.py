@@ -13,7 +13,7 @@ from thermosplat.thermography.certainty import DOUBTS, FEW_VIEWS, NO_SURFACE, RE
 from thermosplat.thermography.measurements import Measurement
 from thermosplat.thermography.picture_structure import noise_of, stands_out
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
-from thermosplat.viewer.session import Wish
+from thermosplat.viewer.wish import Wish
 from viewed_toy import toy_session, viewed_toy
 
 THERMAL = Layer("image", "thermal")

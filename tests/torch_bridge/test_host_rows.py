@@ -98,7 +98,7 @@ def test_rows_are_selected(device: torch.device, shape: tuple[int, ...]) -> None
 
 def test_copies_in_parts(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
     """More rows than are copied at once come and go whole."""
-    monkeypatch.setattr(subject, "_COPIED_AT_ONCE", 3)
+    monkeypatch.setattr(subject, "COPIED_AT_ONCE", 3)
     values = numbers((10, 15, 3))
     held = host_rows((10, 15, 3), device)
     copy_rows(held, values)

@@ -125,9 +125,9 @@ def test_one_run_trains_all_scenes(tmp_path: Path, capture: Capture) -> None:
     start = trainer.model.gaussians("shared").features.detach().clone()
     for _ in range(16):
         trainer.train_step()
-    (first,) = trainer.state.kept_scenes
+    (first,) = trainer.state.preliminaries.kept_scenes
     assert trainer.step == 0  # its steps are those of the result
-    assert trainer.state.is_preliminary is False
+    assert trainer.state.preliminaries.under_way is False
     again = trainer.model.gaussians("shared")
     assert len(again) == len(capture.points)
     assert not torch.equal(again.features, start)
@@ -135,7 +135,7 @@ def test_one_run_trains_all_scenes(tmp_path: Path, capture: Capture) -> None:
     for _ in range(16):
         trainer.train_step()
     assert trainer.step == 16
-    assert not trainer.state.kept_scenes
+    assert not trainer.state.preliminaries.kept_scenes
     second = len(trainer.model.gaussians("shared")) - len(first["shared"]["means"])
     assert second > len(capture.points)  # both have grown
     for key, value in trainer.model.formations.decoder.state_dict().items():
@@ -171,7 +171,7 @@ def test_an_interrupted_run_goes_on_exactly(tmp_path: Path, capture: Capture, pa
     first.save()
     second = Trainer.resume(config, capture, first.run)
     assert second.step == first.step
-    assert second.state.seed == first.state.seed
+    assert second.state.preliminaries.seed == first.state.preliminaries.seed
     second.train()
     assert_same_state(state_tensors(second), state_tensors(whole))
 
@@ -220,7 +220,7 @@ def test_a_stop_while_the_next_scene_starts_leaves_that_one(tmp_path: Path, capt
     first.beginnings.begin_scene = begin_and_stop  # type: ignore[method-assign]
     assert stopped(first).name == "step_000000.pt"
     second = Trainer.resume(scenes_config(), capture, first.run)
-    assert (second.step, len(second.state.kept_scenes)) == (0, 1)
+    assert (second.step, len(second.state.preliminaries.kept_scenes)) == (0, 1)
 
 
 @pytest.mark.rotating("long trainings")
@@ -257,7 +257,7 @@ def test_separate_sets_become_one_each(tmp_path: Path, capture: Capture) -> None
     for _ in range(31):
         trainer.train_step()
     second = {name: len(gaussians) for name, gaussians in trainer.state.gaussian_sets.items()}
-    first = {name: len(packed["means"]) for name, packed in trainer.state.kept_scenes[0].items()}
+    first = {name: len(packed["means"]) for name, packed in trainer.state.preliminaries.kept_scenes[0].items()}
     trainer.train_step()
     assert set(second) == {"rgb", "thermal"}
     for name, gaussians in trainer.state.gaussian_sets.items():
@@ -289,7 +289,7 @@ def test_cameras_are_found_before_the_first_scene(tmp_path: Path) -> None:
     passes: dict[str, Any] = {"refine": ("rig",), "refine_from": 0, "refine_every": 1, "refine_first": 2}
     trainer = toy_trainer(tmp_path, scenes_config(**passes), capture)
     steps = 0
-    while trainer.state.scenes_left > 0:
+    while trainer.state.preliminaries.scenes_left > 0:
         trainer.train_step()
         steps += 1
     assert steps == 2 * 2 + 2 * 16
@@ -312,12 +312,12 @@ def test_a_scene_is_not_lost_where_memory_ends(
         with pytest.raises(UserError, match="memory"):
             trainer.train()
     assert trainer.step == 16
-    assert len(trainer.state.kept_scenes) == scene - 1
-    assert trainer.state.scenes_left == 3 - scene
+    assert len(trainer.state.preliminaries.kept_scenes) == scene - 1
+    assert trainer.state.preliminaries.scenes_left == 3 - scene
     resumed = Trainer.resume(scenes_config(), capture, trainer.run)
     resumed.train()
     assert resumed.step == 20
-    assert resumed.state.scenes_left == 0
+    assert resumed.state.preliminaries.scenes_left == 0
     assert len(resumed.model.gaussians("shared")) > 2 * len(capture.points)
 
 
@@ -362,7 +362,7 @@ def test_scenes_become_one_on_a_device(tmp_path: Path, graph: bool) -> None:
     trainer = toy_trainer(tmp_path / "one", config, capture)
     errors = {}
     trainer.logger.step = lambda record: errors.setdefault(  # type: ignore[method-assign]
-        (len(trainer.state.kept_scenes), trainer.state.scenes_left, record.step),
+        (len(trainer.state.preliminaries.kept_scenes), trainer.state.preliminaries.scenes_left, record.step),
         sum(float(value) for value in record.squared_errors.values()),
     )
     trainer.train()
@@ -375,4 +375,4 @@ def test_scenes_become_one_on_a_device(tmp_path: Path, graph: bool) -> None:
     resumed = stopped_and_resumed(tmp_path / "two", config, capture, 120)
     resumed.train()
     assert resumed.step == 200
-    assert resumed.state.scenes_left == 0
+    assert resumed.state.preliminaries.scenes_left == 0

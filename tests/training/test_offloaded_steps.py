@@ -17,7 +17,8 @@ from toy_scene import toy_capture
 def trainer_of(path: Path, said: list[str]) -> Trainer:
     """A trainer that has moments of 40 of its 60 Gaussians on the device."""
     trainer = toy_trainer(path, toy_run_config(offload="on"), many_frames(toy_capture()))
-    trainer.state.keep_moments_on_device({"shared": 40})
+    for optimizer in trainer.state.row_optimizers("shared"):
+        optimizer.rows_on_device = 40
     trainer.logger.say = said.append  # type: ignore[method-assign]
     return trainer
 

@@ -20,7 +20,7 @@ def test_interrupt_waits_for_the_block(tmp_path: Path) -> None:
     """The block is what goes with the step: Ctrl-C in it is heard when it has ended."""
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
     done = []
-    trainer.state.begin_step(1, trainer.config.optimizer, 1.0)
+    trainer.state.begin_step(1, trainer.config.optimizer)
     with pytest.raises(KeyboardInterrupt), trainer.steps.run(KIND) as values:  # noqa: PT012
         os.kill(os.getpid(), signal.SIGINT)
         done.append(trainer.step)

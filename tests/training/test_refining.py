@@ -76,11 +76,11 @@ def test_the_scene_starts_anew_with_the_cameras_that_were_found(tmp_path: Path) 
     corrections = trainer.state.corrections
     assert corrections is not None
     assert corrections.cameras.any()
-    assert (trainer.step, trainer.state.finds_cameras) == (0, False)
+    assert (trainer.step, trainer.state.preliminaries.find_cameras) == (0, False)
     again = toy_trainer(tmp_path / "again", config, capture)
     assert again.state.corrections is not None
     again.state.corrections.load_state_dict(corrections.state_dict())
-    again.state.camera_passes = 0
+    again.state.preliminaries.camera_passes = 0
     resumed = Trainer.resume(config, capture, trainer.run)
     for each in (trainer, again, resumed):
         while each.step < 5:

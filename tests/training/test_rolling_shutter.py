@@ -15,7 +15,7 @@ from thermosplat.datasets.frame_tensors import frame_tensors, packed, packed_els
 from thermosplat.datasets.readouts import LineOrder
 from thermosplat.evaluation.held_out import rendered_views
 from thermosplat.scene.model import SceneModel
-from thermosplat.training.recorded_steps import _shape
+from thermosplat.training.recorded_steps import frame_shape
 from thermosplat.training.trainer import Trainer
 from toy_run import assert_same_state, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture, toy_config
@@ -106,10 +106,10 @@ def test_frames_with_other_line_orders_or_lenses_are_other_work() -> None:
     shapes = []
     for order in get_args(LineOrder):
         frame = shaken(capture, ("thermal",), order).train[0]
-        shapes.append(_shape(packed(frame_tensors(frame, capture.scales, "cpu"))))
+        shapes.append(frame_shape(packed(frame_tensors(frame, capture.scales, "cpu"))))
     assert len(set(shapes)) == 4
     again = shaken(capture, ("thermal",), "top-to-bottom", degrees=5.0).train[1]
-    assert _shape(packed(frame_tensors(again, capture.scales, "cpu"))) == shapes[0]
+    assert frame_shape(packed(frame_tensors(again, capture.scales, "cpu"))) == shapes[0]
 
 
 @pytest.mark.rotating("resumed runs")

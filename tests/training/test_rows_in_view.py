@@ -15,6 +15,7 @@ from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.torch_bridge.host_rows import has_padded_rows
 from thermosplat.training.density import decomposition
+from thermosplat.training.optimizers import gradients_to_watch
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
 from toy_run import many_frames, state_tensors, step_gradients, toy_run_config, toy_trainer
@@ -52,7 +53,8 @@ def trained(path: Path, steps: int, *, aligned: bool = True, **settings: Any) ->
     kind, _, some = settings.pop("offload", "off").partition(", ")
     trainer = toy_trainer(path, toy_run_config(**settings, offload=kind), capture_of(aligned))
     if some:
-        trainer.state.keep_moments_on_device(dict.fromkeys(trainer.state.gaussian_sets, 25))
+        for optimizer in (one for name in trainer.state.gaussian_sets for one in trainer.state.row_optimizers(name)):
+            optimizer.rows_on_device = 25
     while trainer.step < steps:
         trainer.train_step()
     return trainer
@@ -166,7 +168,7 @@ def test_an_interrupted_step_leaves_no_rows(tmp_path: Path) -> None:
     assert done.observed is not None
     rows = optimizers["features"].rows
     assert rows is not None
-    watched = trainer.state.gradients_to_watch()
+    watched = gradients_to_watch(trainer.state.optimizers)
     assert watched["shared features"] == [rows.values.grad]
     assert "shared shN" not in watched
     trainer.state.clear_gradients()

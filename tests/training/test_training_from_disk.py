@@ -195,7 +195,7 @@ def test_a_reader_that_is_killed(tmp_path: Path, root: Path) -> None:
     def kill(trainer: Trainer) -> None:
         if trainer.step == 5:
             assert trainer.frames.from_disk is not None
-            for process in trainer.frames.from_disk.loader._reading._processes:
+            for process in trainer.frames.from_disk.loader.reading.processes:
                 process.kill()
 
     trainer.between_steps = kill
@@ -203,7 +203,7 @@ def test_a_reader_that_is_killed(tmp_path: Path, root: Path) -> None:
         trainer.train()
     assert f"Checkpoint saved to {tmp_path / 'run' / 'ckpts'}" in caught.value.message
     assert trainer.run.resume_command() in caught.value.hint
-    assert trainer.frames.from_disk.loader._reading is None
+    assert trainer.frames.from_disk.loader.reading is None
     again = Trainer.resume(config, on_disk(root), RunDirectory(tmp_path / "run"))
     assert 5 <= again.step < 25
     again.train()

@@ -9,6 +9,7 @@ from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.runs.checkpoint_file import load_checkpoint, save_checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.training.density.strategies import STRATEGIES
+from thermosplat.training.optimizers import gradients_to_watch
 from thermosplat.training.training_state import TrainingState
 from toy_run import assert_same_state, flat_tensors, many_frames, state_tensors, toy_run_config, toy_trainer
 from toy_scene import toy_capture
@@ -52,10 +53,10 @@ def test_gradients_are_named_by_set_and_parameter(tmp_path: Path) -> None:
     where others are; clearing forgets them."""
     trainer = toy_trainer(tmp_path, toy_run_config(), many_frames(toy_capture()))
     state = trainer.state
-    assert not any(state.gradients_to_watch().values())
+    assert not any(gradients_to_watch(state.optimizers).values())
     for parameter in state.model.parameters():
         parameter.grad = torch.ones_like(parameter)
-    gradients = state.gradients_to_watch()
+    gradients = gradients_to_watch(state.optimizers)
     assert {"shared means", "shared thermal_opacity_offsets", "decoders"} <= set(gradients)
     listed = sum(len(tensors) for tensors in gradients.values())
     assert listed == len(list(state.model.parameters())) - 1
@@ -71,7 +72,7 @@ def test_gradients_of_a_third_spectrum_are_watched(tmp_path: Path) -> None:
     state = toy_trainer(tmp_path, config, many_frames(toy_capture(others=("nir",)))).state
     for parameter in state.model.parameters():
         parameter.grad = torch.ones_like(parameter)
-    gradients = set(state.gradients_to_watch())
+    gradients = set(gradients_to_watch(state.optimizers))
     assert {"shared logit_nir_opacities", "shared nir_sh0", "shared thermal_sh0"} < gradients
     assert not gradients & {"shared shN", "shared thermal_shN", "shared nir_shN"}
 
@@ -108,7 +109,7 @@ def test_checkpoints_of_the_first_version_load(tmp_path: Path) -> None:
         del state[key]
     checkpoint = Checkpoint.from_state(state, tmp_path)
     assert checkpoint.train_frames is None
-    trainer.state.growing = False
+    trainer.state.budget.growing = False
     trainer.state.load(checkpoint)
-    assert trainer.state.growing
-    assert not trainer.state.offsets_dropped
+    assert trainer.state.budget.growing
+    assert not trainer.state.budget.offsets_dropped

@@ -16,8 +16,8 @@ from thermosplat.scene.gaussians import SH_C0
 from thermosplat.thermography.comparison_file import read_comparison
 from thermosplat.viewer.layers import Layer, LayerRenderer, available_layers
 from thermosplat.viewer.opening import open_scene
-from thermosplat.viewer.session import start_wish
 from thermosplat.viewer.viewed_scene import EarlierDate, ViewedScene
+from thermosplat.viewer.wish import start_wish
 
 TO_LATER = MapFrame(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 2.0, np.array([3.0, 1.0, -2.0]))
 CHANGE, BEFORE, IMAGE = Layer("change", "thermal"), Layer("before", "thermal"), Layer("image", "thermal")

@@ -53,16 +53,17 @@ def test_only_so_many_wait(errands: Errands) -> None:
     errands.add(lambda: go.wait(PATIENCE) and None)
     for number in range(10 * MOST_WAITING):
         errands.add(lambda number=number: done.append(number))
-    assert len(errands._waiting) <= MOST_WAITING
+    assert len(errands.waiting) <= MOST_WAITING
     go.set()
-    while errands._waiting:
+    while errands.waiting:
         pass
     all_done(errands)
     assert MOST_WAITING - 1 <= len(done) <= MOST_WAITING + 1
     errands.end()
     errands.add(lambda: done.append(-1))
-    errands._thread.join(PATIENCE)
-    assert not errands._thread.is_alive()
+    for thread in errands.threads:
+        thread.join(PATIENCE)
+    assert not errands.threads
     assert -1 not in done
 
 
@@ -80,8 +81,9 @@ def test_one_long_thing_at_a_time(errands: Errands, told: list[tuple[str, str]])
     assert [title for title, _ in told] == ["One after the other"]
     go.set()
     assert ended.wait(PATIENCE)
-    assert errands._long.acquire(timeout=PATIENCE)
-    errands._long.release()
+    for thread in errands.threads:
+        if thread.name.endswith("long"):
+            thread.join(PATIENCE)
     again = threading.Event()
     errands.begin_long(again.set)
     assert again.wait(PATIENCE)

@@ -23,7 +23,8 @@ from thermosplat.viewer.layers import Layer, LayerImage
 from thermosplat.viewer.measure_panel import spot_cross
 from thermosplat.viewer.measurements import Mark, marked_picture, save_measurements, value_at
 from thermosplat.viewer.measuring import Measurer
-from thermosplat.viewer.session import ViewSession, Wish
+from thermosplat.viewer.session import ViewSession
+from thermosplat.viewer.wish import Wish
 from viewed_toy import moved, toy_session, viewed_toy
 
 FIELD = np.arange(60, dtype=np.float32).reshape(6, 10)

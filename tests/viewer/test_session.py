@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from thermosplat.viewer.layers import Layer
-from thermosplat.viewer.session import Unwanted, Wish
+from thermosplat.viewer.session import Unwanted
 from thermosplat.viewer.turns import ViewingEnded
+from thermosplat.viewer.wish import Wish
 from viewed_toy import moved, toy_session, viewed_toy
 
 

@@ -27,7 +27,7 @@ def ask(turns: BetweenSteps, work: Callable[[], None]) -> threading.Thread:
     """A viewer that waits for its turn."""
     thread = threading.Thread(target=turns.run, args=(work,))
     thread.start()
-    while not turns._waiting:
+    while not turns.waiting:
         time.sleep(0.001)
     return thread
 

@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 import warp as wp
 
-from compilation_for_cuda import ARCHITECTURES, compile_all
+from compilation_for_cuda import OTHER_ARCHITECTURES, WHERE_ALL_COMPILE, compile_all
 from warp_kernels.binning.tile_binning import binning_kernels
 from warp_kernels.binning.tile_ranges import fill_room_kernel, tile_ranges_kernel
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
@@ -35,7 +35,8 @@ from warp_kernels.projection.camera_gradients import (
     camera_finish_kernel,
     lens_finish_kernel,
 )
-from warp_kernels.projection.lens_models import LensModel, lens_limit_kernel
+from warp_kernels.projection.lens_limits import lens_limit_kernel
+from warp_kernels.projection.lens_models import LensModel
 from warp_kernels.projection.motion_step import motion_kernels
 from warp_kernels.projection.projection import projection_kernel
 from warp_kernels.projection.projection_adjoint import projection_adjoint_kernel
@@ -95,17 +96,36 @@ def test_rendering_compiles_for_cuda(arch: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
-)
+@pytest.mark.parametrize(("dtype", "arch"), WHERE_ALL_COMPILE)
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Activations, projection, colours, binning, sums."""
     compile_all(gaussian_kernels(dtype), arch, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [75, 90])
-@pytest.mark.parametrize("model", get_args(LensModel))
+@pytest.mark.parametrize("arch", OTHER_ARCHITECTURES)
+def test_a_kernel_of_each_kind_compiles_for_every_architecture(arch: int, tmp_path: Path) -> None:
+    """What does the most of its kind: gradients to cameras, a rolling shutter, two opacities, the largest decoder."""
+    layout = max(cuda_layouts(16, 11, 8, wp.float32), key=lambda one: one.segment)
+    dtype = wp.float32
+    variant, along = blend_variant(11, 8, dtype, layout, 3), RayVariant(3, True, True, dtype)
+    kernels = [*binning_kernels(dtype, 32), projection_kernel(dtype, "pinhole", False)]
+    kernels += [projection_adjoint_kernel(dtype, "pinhole", False, True, True), camera_finish_kernel(dtype)]
+    kernels += [color_kernel(dtype, True, ColorVariant(ALL)), color_adjoint_kernel(dtype, ColorVariant(ALL))]
+    kernels += [blend_kernel(variant), blend_adjoint_kernel(variant, False, False), ray_blend_adjoint_kernel(along)]
+    kernels += [distribute_kernel(11, 8, dtype, True, 8, 3), median_depth_kernel(dtype)]
+    if layout.segment > 0:
+        kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
+    for model in ("pinhole", "fisheye"):  # a fraction and an angle
+        kernels += [affine_camera_kernel(dtype, model, True), affine_camera_adjoint_kernel(dtype, model, True, True)]
+    if arch >= 80:
+        largest = max(HIDDEN), True, max(INPUTS)
+        kernels += [decode_kernel(*largest), decode_adjoint_kernel(*largest, max(TEAMS))]
+    compile_all(kernels, arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "arch"), [*((model, 90) for model in get_args(LensModel)), ("pinhole", 75)])
 def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) -> None:
     """All lens models, with and without a rolling shutter, with and without gradients to cameras."""
     kernels = [lens_limit_kernel(wp.float32, model), *motion_kernels(wp.float32)]
@@ -117,22 +137,13 @@ def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch not in (75, 90)])
-def test_lenses_compile_for_every_architecture(arch: int, tmp_path: Path) -> None:
-    """What does the most: a rolling shutter, gradients to cameras. The rest is compiled for two architectures above."""
-    for model in get_args(LensModel):
-        adjoint = affine_camera_adjoint_kernel(wp.float32, model, True, True)
-        compile_all([affine_camera_kernel(wp.float32, model, True), adjoint], arch, tmp_path / model)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch >= 80])
-def test_decoders_compile_for_cuda(arch: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_decoders_compile_for_cuda(hidden: int, tmp_path: Path) -> None:
     """All sizes, with and without a modulation, with a warp or two for 16 pixels."""
-    shapes = [(hidden, modulated, inputs) for hidden in HIDDEN for modulated in (False, True) for inputs in INPUTS]
+    shapes = [(hidden, modulated, inputs) for modulated in (False, True) for inputs in INPUTS]
     kernels = [decode_kernel(*shape) for shape in shapes]
     kernels += [decode_adjoint_kernel(*shape, team) for shape in shapes for team in TEAMS]
-    compile_all(kernels, arch, tmp_path)
+    compile_all(kernels, 90, tmp_path)
 
 
 def cuda_layouts(tile_size: int, channels: int, thermal_channels: int, dtype: type) -> set[BlendLayout]:
@@ -146,22 +157,11 @@ def cuda_layouts(tile_size: int, channels: int, thermal_channels: int, dtype: ty
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", ARCHITECTURES)
-def test_blending_compiles_for_every_architecture(arch: int, tmp_path: Path) -> None:
-    """A frame of two opacities in one layout; the others are compiled for two architectures below."""
-    layout = max(cuda_layouts(16, 11, 8, wp.float32), key=lambda one: one.segment)
-    variant = blend_variant(11, 8, wp.float32, layout, 3)
-    kernels = [blend_kernel(variant), blend_adjoint_kernel(variant, False, False)]
-    if layout.segment > 0:
-        kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
-    compile_all(kernels, arch, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arch", [75, 90])
-@pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
+@pytest.mark.parametrize(
+    ("tile_size", "dtype", "arch"),
+    [*((tile_size, wp.float32, 90) for tile_size in (8, 16, 32)), (16, wp.float32, 75), (16, wp.float64, 90)],
+)
 @pytest.mark.parametrize(("channels", "thermal_channels"), [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)])
-@pytest.mark.parametrize("tile_size", [8, 16, 32])
 def test_blending_compiles_for_cuda_in_all_layouts(
     tile_size: int, channels: int, thermal_channels: int, dtype: type, arch: int, tmp_path: Path
 ) -> None:

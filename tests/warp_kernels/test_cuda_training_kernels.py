@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from compilation_for_cuda import ARCHITECTURES, compile_all
+from compilation_for_cuda import ARCHITECTURES, WHERE_ALL_COMPILE, compile_all
 from warp_kernels.binning.pair_notes import note_pairs_kernel
 from warp_kernels.image_loss.image_loss import image_loss_kernels
 from warp_kernels.image_loss.image_loss_adjoint import image_loss_adjoint_kernel
@@ -27,16 +27,16 @@ pytestmark = pytest.mark.rotating
 
 @pytest.mark.parametrize("arch", ARCHITECTURES)
 def test_parameter_kernels_compile_for_cuda(arch: int, tmp_path: Path) -> None:
-    """Adam, the finite check, what is noted of pairs, small products, rows copied by their numbers."""
+    """Adam, the finite check, what is noted of pairs, small products, rows copied by their numbers, and the adjoint of
+    the image loss, which does the most of what there is beside them."""
     adam = [adam_coefficients_kernel, adam_update_kernel, row_adam_kernel, row_fetch_kernel]
     others = [note_bad_kernel, note_pairs_kernel, *small_product_kernels(wp.float32)]
+    others.append(image_loss_adjoint_kernel(wp.float32, 1.5))
     compile_all([*adam, *others, gather_rows_kernel(wp.float32), place_rows_kernel], arch, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
-)
+@pytest.mark.parametrize(("dtype", "arch"), WHERE_ALL_COMPILE)
 def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Losses, covered and blurred images, and what density control notes."""
     kernels = [*image_loss_kernels(dtype, 1.5, 1e-4, 9e-4, 1e-12), image_loss_adjoint_kernel(dtype, 1.5)]
@@ -45,9 +45,7 @@ def test_image_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("dtype", "arch"), [*((wp.float32, arch) for arch in ARCHITECTURES), (wp.float64, 75), (wp.float64, 90)]
-)
+@pytest.mark.parametrize(("dtype", "arch"), WHERE_ALL_COMPILE)
 def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
     """Penalties on Gaussians and on the spread of their depths, and the noise on their means."""
     kernels = [*penalty_kernels(dtype), *moment_kernels(dtype, 8), *spread_kernels(dtype, 8), noise_kernel(dtype)]

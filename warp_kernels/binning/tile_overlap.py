@@ -42,9 +42,6 @@ def exponent_of(x: int) -> int:
 def overlap_functions(dtype: type):
     """Rows and columns of pixels and tiles a Gaussian touches.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(pixel_rows, tile_range, ellipse, pixel_span)``, Warp functions.
     """

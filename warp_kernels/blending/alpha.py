@@ -38,9 +38,6 @@ class AlphaFunctions(NamedTuple):
 def alpha_functions(dtype: type) -> AlphaFunctions:
     """The response of a Gaussian at a pixel; the forward pass and the adjoint share it.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         The functions.
     """

@@ -39,7 +39,6 @@ def splats_type(first_channels: int, others: int, dtype: type) -> Any:
     Args:
         first_channels: A, channels of the first array of features.
         others: B, channels of the other; 1 where there is none.
-        dtype: ``wp.float32`` or ``wp.float64``.
     """
     vec2, vec4 = wp.types.vector(2, dtype), wp.types.vector(4, dtype)
     vecA, vecB = wp.types.vector(first_channels, dtype), wp.types.vector(others, dtype)
@@ -59,11 +58,7 @@ def splats_type(first_channels: int, others: int, dtype: type) -> Any:
 
 @made_once
 def pixel_ends_type(dtype: type) -> Any:
-    """The struct of images that say where each pixel's walk with one opacity ended.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-    """
+    """The struct of images that say where each pixel's walk with one opacity ended."""
 
     @wp.struct
     class PixelEnds:
@@ -93,7 +88,6 @@ def block_functions(dtype: type, layout: BlendLayout) -> BlockFunctions:
     """Which pixels a warp and its lanes have.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
     """
     lanes, columns, blocks_x, tile_size = layout.lanes, layout.columns, layout.blocks_x, layout.tile_size

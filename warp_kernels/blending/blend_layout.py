@@ -127,7 +127,6 @@ def default_layout(
         tile_size: edge of a tile [px].
         channels: channels blended with the first opacity.
         thermal_channels: channels blended with the second, or 0.
-        dtype: ``wp.float32`` or ``wp.float64``.
         num_pairs: (Gaussian, tile) pairs of the frame.
         num_tiles: tiles of the frame.
 

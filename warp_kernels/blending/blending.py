@@ -26,9 +26,6 @@ from warp_kernels.machinery.loading import made_once
 def layer_function(dtype: type):
     """What a layer does to a pixel's light.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         A Warp function (light in front, alpha, the light at which the pixel stops): the layer's weight, and the light
         behind it. Where the pixel has stopped before the layer, the weight is 0 and the light in front gets a sign.

@@ -2,15 +2,14 @@
 
 import functools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import warp as wp
 
 from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
 from warp_kernels.blending.blend_variant import BlendVariant, blend_variant
+from warp_kernels.blending.blended_arrays import BlendedArrays, BlendLauncher, BlendWalk
 from warp_kernels.blending.blending import blend_kernel
 from warp_kernels.blending.blending_adjoint import blend_adjoint_kernel
 from warp_kernels.blending.gradient_records import (
@@ -34,64 +33,6 @@ from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettin
 WORTH_A_WAIT = 2**24
 """Bytes of room for states from which on the host waits to hear how many are needed. Frames with so many pairs and
 channels take more than a millisecond; what the wait costs was not measured yet."""
-
-
-@dataclass
-class BlendedArrays:
-    """Images the blending writes; rows are image · height + y.
-
-    Attributes:
-        render: vecC [images · height, width].
-        transmittance: [images · height, width]; 1 - alpha. The adjoint reads it where there are no alphas.
-        ends: int32 [images · height, width]; last sorted pair drawn, and what rounding took from alpha; see pixel_ends.
-        alphas: [images · height, width]; None: not wanted.
-        thermal_render: vecD [images · height, width]; None with one opacity.
-        thermal_transmittance: as ``transmittance``, of the second opacity.
-        thermal_ends: as ``ends``, of the second opacity.
-        thermal_alphas: as ``alphas``, of the second opacity.
-    """
-
-    render: wp.array
-    transmittance: wp.array
-    ends: wp.array
-    alphas: wp.array | None = None
-    thermal_render: wp.array | None = None
-    thermal_transmittance: wp.array | None = None
-    thermal_ends: wp.array | None = None
-    thermal_alphas: wp.array | None = None
-
-
-@dataclass(frozen=True)
-class BlendWalk:
-    """How lists were walked, as their adjoint walks them back.
-
-    Attributes:
-        variant: of the kernels.
-        cuts: which lists are cut, and whose rows in ``states`` are; see list_segments. None where none may be.
-        states: [rows, state_length, pixels of a tile] what each segment of a cut list left; None likewise.
-    """
-
-    variant: BlendVariant
-    cuts: wp.array | None
-    states: wp.array | None
-
-    @property
-    def rows(self) -> int:
-        """Of ``states``."""
-        return 0 if self.states is None else self.states.shape[0]
-
-
-class BlendLauncher(Protocol):
-    """Makes the launches that write images, or read their gradients, or keeps them to be made with other images."""
-
-    def forward(self, launch: Callable[[], None], blended: BlendedArrays) -> None:
-        """What ``launch`` does writes ``blended``."""
-
-    def backward(self, launch: Callable[[], None], v_images: tuple[ArrayView | None, ...]) -> None:
-        """What ``launch`` does reads gradients.
-
-        They are those of the render's first channels, of its others, of the thermal render, and of both transmittances.
-        """
 
 
 def blend(

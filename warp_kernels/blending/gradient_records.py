@@ -147,9 +147,6 @@ def _moment_function(dtype: type):
 def finish_moments_kernel(dtype: type) -> wp.Kernel:
     """Makes gradients of the moments of Gaussians without records, one thread per Gaussian.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         The Warp kernel, launched over ``whole_warps``.
     """
@@ -203,7 +200,6 @@ def distribute_kernel(
     Args:
         channels: C.
         thermal_channels: D, or 0.
-        dtype: ``wp.float32`` or ``wp.float64``.
         absgrad: records end with the absolute mean2d gradients.
         records_per_pair: records of a pair, those of a Gaussian's pairs side by side; 0: one record per Gaussian.
         first_channels: of the C, those whose gradients lie in an array of their own; None: all.

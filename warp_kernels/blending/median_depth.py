@@ -13,9 +13,6 @@ from warp_kernels.projection.packed_roots import packed_root_functions
 def median_depth_kernel(dtype: type) -> wp.Kernel:
     """The kernel, one thread per pixel.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         The Warp kernel. It walks the list of a pixel's tile twice: to its end, for the transmittance that is left, and
         to the Gaussian behind which half of the accumulated opacity lies.

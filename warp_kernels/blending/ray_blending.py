@@ -62,9 +62,6 @@ def ray_types(variant: RayVariant) -> RayTypes:
 def ray_functions(dtype: type):
     """What both passes compute of a ray and a Gaussian.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(pixel, response)``: pixel(index, tiles_x, tiles_y, tile_size, width, height) -> (image, tile); response(W,
         offset, d, opacity) -> (g, h, t, exp(-σ), α), α being 0 where the Gaussian is not drawn.

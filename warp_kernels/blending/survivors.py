@@ -40,7 +40,6 @@ def stages_features(channels: int, dtype: type, layout: BlendLayout) -> bool:
 
     Args:
         channels: C.
-        dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
 
     Returns:
@@ -186,7 +185,6 @@ def walk_functions(
         first_channels: of these, those that lie in an array of their own; C: all lie in one.
         staged: records hold them.
         dual: there are two opacities.
-        dtype: ``wp.float32`` or ``wp.float64``.
         layout: deal of pixels to lanes.
         backwards: from the back of the list to its front.
 

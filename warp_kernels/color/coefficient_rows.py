@@ -188,7 +188,6 @@ def row_sum_function(dtype: type, most: int):
     """A row's sum.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         most: coefficients that may be active.
 
     Returns:
@@ -208,7 +207,6 @@ def row_adjoint_function(dtype: type, most: int):
     """The adjoint of Σ b[k] rows[row, k - lowest] over lowest <= k < active.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         most: coefficients that may be active.
 
     Returns:

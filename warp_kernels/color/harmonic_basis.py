@@ -37,7 +37,6 @@ def basis_functions(dtype: type, most: int):
     """Basis values and their gradient with respect to the unit direction.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         most: ``FEW`` or ``ALL``.
 
     Returns:

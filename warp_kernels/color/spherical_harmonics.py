@@ -38,9 +38,6 @@ class ColorVariant(NamedTuple):
 def direction_function(dtype: type):
     """Unit direction from the camera to a mean, as a Warp function.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``direction(mean, camera_position) -> (unit, 1 / length)``; both zero where the mean is at the camera. The
         difference is taken in float64: far from the origin it cancels.
@@ -70,7 +67,6 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
     """Forward kernel: colour of each (image, Gaussian) pair, not written where the Gaussian is culled.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         many: a warp lists the visible ones of many before it works on them, on CUDA only; else a thread has one.
         variant: what is summed, and how.
 
@@ -156,7 +152,6 @@ def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
     """Adjoint kernel: one thread per Gaussian of a scene walks its cameras, so that nothing is atomic.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         variant: what is summed, and how.
 
     Returns:

@@ -35,9 +35,6 @@ OPTIONS = {"enable_backward": False, "module": "unique", "grid_stride": False, "
 def plane_functions(dtype: type):
     """Access to the channels of all pairs, as they are numbered through.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(plane, of_term)``. A thread looks a channel up once (``plane``: its address, and the steps to the next row
         and column): to choose among four images at every access would take all registers. Pair t has the channels from
@@ -165,7 +162,6 @@ def scalar_source(source: str, dtype: type, **numbers: float) -> str:
 
     Args:
         source: C++ in which ``S_`` stands for the type, and names in capitals with ``_`` at the end for numbers.
-        dtype: ``wp.float32`` or ``wp.float64``.
         numbers: the numbers by name, without that end.
     """
     for name, value in numbers.items():
@@ -178,7 +174,6 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
     """The kernels of one window.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         sigma: standard deviation of the window [px].
         c1: SSIM's first constant.
         c2: SSIM's second constant.

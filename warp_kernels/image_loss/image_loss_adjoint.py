@@ -54,7 +54,6 @@ def image_loss_adjoint_kernel(dtype: type, sigma: float) -> wp.Kernel:
     """The kernel of one window, a block of threads a tile of a channel.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         sigma: standard deviation of the window [px].
 
     Returns:

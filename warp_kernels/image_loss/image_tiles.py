@@ -33,11 +33,7 @@ BLURRED_PITCH = WIDTH + 1
 
 
 def tile_height(dtype: type) -> int:
-    """Rows of a tile, as many as shared memory has room for.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-    """
+    """Rows of a tile, as many as shared memory has room for."""
     return 32 if dtype is wp.float32 else 8
 
 
@@ -47,17 +43,12 @@ def tiles_of(height: int, width: int, dtype: type) -> int:
     Args:
         height: [px].
         width: [px].
-        dtype: ``wp.float32`` or ``wp.float64``.
     """
     return -(-height // tile_height(dtype)) * -(-width // WIDTH)
 
 
 def threads_of(device: wp.Device) -> int:
-    """Threads a block.
-
-    Args:
-        device: Where.
-    """
+    """Threads a block."""
     return THREADS if device.is_cuda else 1
 
 
@@ -84,7 +75,6 @@ def buffers(sources: int, planes: int, sigma: float, dtype: type) -> str:
         sources: images that are put into shared memory: ``held``.
         planes: images that are blurred: ``blurred``.
         sigma: standard deviation of the window [px].
-        dtype: ``wp.float32`` or ``wp.float64``.
     """
     rows = tile_height(dtype) + 2 * RADIUS
     arrays = f"S_ held[{sources}][{rows * PITCH}], blurred[{planes}][{rows * BLURRED_PITCH}];"
@@ -114,7 +104,6 @@ def fill(dtype: type, statement: str) -> str:
     """Source that walks the tile with its margins.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         statement: sets ``held[...][at]`` for row ``gy`` and column ``gx`` of the image, which may lie outside.
     """
     return f"""
@@ -132,7 +121,6 @@ def blur_rows(dtype: type, planes: int, values: str, borders: str = "") -> str:
     """Source that blurs what is held along rows.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         planes: images that are blurred.
         values: these at index ``at`` of what is held, in braces.
         borders: adds to the sums ``t``; see ``mirrored``.
@@ -155,7 +143,6 @@ def blur_columns(dtype: type, planes: int, statement: str, borders: str = "") ->
     """Source that blurs along columns what is blurred along rows.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         planes: images that are blurred.
         statement: uses the sums ``t[...][r]`` of row ``gy`` and column ``gx`` of the image.
         borders: adds to the sums ``t``; see ``mirrored``.

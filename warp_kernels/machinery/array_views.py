@@ -203,7 +203,6 @@ def empty(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
     Args:
         shape: extents.
         dtype: Warp type of an element.
-        device: where.
 
     Returns:
         The array.
@@ -217,7 +216,6 @@ def zeros(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
     Args:
         shape: extents.
         dtype: Warp type of an element.
-        device: where.
 
     Returns:
         The array.

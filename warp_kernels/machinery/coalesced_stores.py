@@ -53,9 +53,6 @@ def _store_whole(length: int, dtype: type) -> str:
 def store_functions(dtype: type):
     """Stores of vectors of 2, 3 and 4 numbers.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(store2, store3, store4)``, Warp functions of an array, an index and a vector. On CUDA all lanes of a warp
         must call ``store3`` together; a lane with a negative index stores nothing.

@@ -13,9 +13,6 @@ from warp_kernels.machinery.loading import made_once
 def total_function(dtype: type):
     """A sum over all lanes of a warp, which all call it together; always in the same order.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         A Warp function of one number.
     """
@@ -55,7 +52,6 @@ def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, i
 
     Args:
         length: Components of the vector.
-        dtype: ``wp.float32`` or ``wp.float64``.
         apart: None: one warp owns the place and stores all components there. Otherwise several warps meet: components
             are added atomically, those of these half-open ranges to ``array[index]`` of the array of that name, the
             others side by side to ``dst[index]``.
@@ -136,7 +132,6 @@ def column_sums_snippet(length: int, columns: int, dtype: type) -> str:
     Args:
         length: Rows.
         columns: Columns, a power of two.
-        dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
         C++ source using the arguments ``m`` (matrix) and ``out`` (array of vectors of ``length``), and ``index``.

@@ -19,11 +19,7 @@ def on_cuda(source: str, otherwise: str = "") -> str:
 
 
 def scalar_name(dtype: type) -> str:
-    """What C++ calls a scalar.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-    """
+    """What C++ calls a scalar."""
     return "float" if dtype is wp.float32 else "double"
 
 
@@ -120,11 +116,7 @@ warp_shuffle = shuffle_function(wp.int32)
 
 
 def lanes_of(device: wp.Device) -> int:
-    """Lanes of a warp.
-
-    Args:
-        device: where.
-    """
+    """Lanes of a warp."""
     return LANES_CUDA if device.is_cuda else 1
 
 
@@ -207,9 +199,6 @@ RECIPROCAL_F64 = "return 1.0 / x;"
 def lane_functions(dtype: type):
     """Helpers that depend on the scalar type.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(exp2_negative, attenuate, reciprocal)``: 2^x for x <= 0, t (1 - a), 1 / x for ordinary x > 0.
     """
@@ -231,7 +220,6 @@ def whole_warps(count: int, device: wp.Device) -> int:
 
     Args:
         count: Rows.
-        device: Where.
     """
     return num_warps(count, device) * LANES_CUDA if device.is_cuda else count
 
@@ -241,6 +229,5 @@ def num_warps(count: int, device: wp.Device) -> int:
 
     Args:
         count: Rows.
-        device: Where.
     """
     return -(-count // lanes_of(device))

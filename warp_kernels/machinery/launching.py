@@ -67,7 +67,6 @@ class RecordedLaunch:
         dim: number of threads.
         inputs: arrays, ints, floats and bools, of the same types at each launch; outputs included. None in the place
             of an array: one without elements. In the place of a struct its fields, one after the other.
-        device: where to run.
         block: threads a block.
     """
 
@@ -184,7 +183,6 @@ def launch_again(kernel: wp.Kernel, dim: Dim, inputs: list[Any], device: wp.Devi
         dim: number of threads.
         inputs: arrays, ints, floats and bools, of the same types at each call; outputs included. None in the place of
             an array: one without elements.
-        device: where to run.
         block: threads a block; None for Warp's default.
     """
     if dim == 0:
@@ -204,7 +202,6 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device, 
         kernel: its first argument is the first index of the range; ``inputs`` are the others, outputs included.
         count: number of indices.
         inputs: arguments after the first.
-        device: where to run.
         block: threads a block on CUDA; None for Warp's default.
     """
     on_cpu = device.alias == "cpu"
@@ -222,7 +219,6 @@ def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[A
         num_tiles: number of tiles.
         threads: threads a tile.
         inputs: arguments after the first.
-        device: where to run.
     """
     if num_tiles == 0:
         return

@@ -51,7 +51,6 @@ def sight_functions(dtype: type, model: LensModel, rolling: bool):
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of what is made of it.
-        model: of the lens.
         rolling: The pose is a motion, and the time is looked for.
 
     Returns:
@@ -125,7 +124,6 @@ def loading_functions(dtype: type, rolling: bool):
     """What kernels read of cameras and Gaussians, in float64.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         rolling: Poses are motions.
 
     Returns:
@@ -180,7 +178,6 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     """The forward kernel, one thread an (image, Gaussian) pair.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         model: of the lenses.
         rolling: Lines are read out at different times.
 

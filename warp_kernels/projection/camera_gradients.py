@@ -43,8 +43,6 @@ class WarpRows:
 
         Args:
             num_gaussians: N.
-            num_scenes: scenes.
-            device: where.
         """
         lanes = lanes_of(device)
         rows = -(-num_gaussians // lanes)

@@ -15,9 +15,6 @@ from warp_kernels.projection.packed_roots import packed_root_functions
 def footprint_functions(dtype: type):
     """Stores for one scalar type.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(culled, footprint)``, Warp functions. The first stores what there is of a Gaussian that is not drawn; the
         second what there is of one that is, if it is. Of many Gaussians most are not, so that little is stored of them.

@@ -16,7 +16,8 @@ from warp_kernels.machinery.tape_recording import gradient_of
 from warp_kernels.projection.affine_camera_adjoint import affine_camera_adjoint_kernel
 from warp_kernels.projection.affine_cameras import affine_camera_kernel, block_threads
 from warp_kernels.projection.camera_gradients import ROLLING_RECORD, STILL_RECORD, WarpRows, lens_finish_kernel
-from warp_kernels.projection.lens_models import LensModel, lens_limits
+from warp_kernels.projection.lens_limits import lens_limits
+from warp_kernels.projection.lens_models import LensModel
 from warp_kernels.projection.plain_camera_step import seen_and_stored
 from warp_kernels.projection.projection import GaussianArrays, ProjectedArrays, ProjectionSettings
 

@@ -35,9 +35,6 @@ LOAD_ROW = """
 def packed_root_functions(dtype: type):
     """Warp functions for one type.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(pack, unpack, row)``: a remainder as one number, and back; root and remainder of a Gaussian.
     """

@@ -34,10 +34,6 @@ forms are differences of numbers that come close: here g has lost 4 of its 16 di
 def plain_camera_functions(dtype: type, camera_model: CameraModel):
     """Straight-line pieces that the projection and its adjoint share.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-        camera_model: of the camera.
-
     Returns:
         ``(camera_position, camera_axes, jacobian, project_mean, position_adjoint)``, Warp functions. The first two are
         the same for all models.

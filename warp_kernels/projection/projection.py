@@ -30,9 +30,6 @@ from warp_kernels.projection.rotation import rotation_functions
 def covariance_functions(dtype: type):
     """2D covariance, its determinants and the gradient of the determinant, without cancellation.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(from_rows, from_covariance)``, Warp functions returning (xx, xy, yy, det) before the blur.
     """
@@ -65,8 +62,6 @@ def projection_kernel(dtype: type, camera_model: CameraModel, from_covars: bool)
     """The forward kernel, one thread an (image, Gaussian) pair.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-        camera_model: of the cameras.
         from_covars: 3D covariances are given instead of quaternions and scales.
 
     Returns:

@@ -32,8 +32,6 @@ def projection_adjoint_kernel(
     """The adjoint kernel, one thread per Gaussian of a scene, or a warp for each ``warp_lists.MANY``.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-        camera_model: of the cameras.
         from_covars: 3D covariances were given instead of quaternions and scales.
         to_cameras: Also write gradients to view matrices and intrinsics.
         antialiased: The projection's compensations were used.

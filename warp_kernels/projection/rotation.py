@@ -9,9 +9,6 @@ from warp_kernels.machinery.loading import made_once
 def rotation_functions(dtype: type):
     """Quaternion functions for one scalar type.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(to_matrix, turn_adjoint)``, Warp functions.
     """

@@ -10,9 +10,6 @@ from warp_kernels.machinery.loading import made_once
 def gather_rows_kernel(dtype: type) -> wp.Kernel:
     """The kernel, one thread for each number that is copied.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         The kernel.
     """

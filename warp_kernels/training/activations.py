@@ -17,9 +17,6 @@ from warp_kernels.machinery.loading import made_once
 def opacity_functions(dtype: type):
     """Opacities from what is stored.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(sigmoid, sigmoid_adjoint, thermal_opacity)``, Warp functions.
     """
@@ -46,9 +43,6 @@ def opacity_functions(dtype: type):
 @made_once
 def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread per Gaussian.
-
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
 
     Returns:
         ``(activate, activate_adjoint)``, launched over ``whole_warps``.

@@ -10,9 +10,6 @@ from warp_kernels.machinery.loading import made_once
 def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread per pixel.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(cover, cover_adjoint)``.
     """

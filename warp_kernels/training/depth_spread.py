@@ -20,7 +20,6 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Features and log-depth of Gaussians.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         channels: features of a Gaussian; a constant, so that all of them are read before any is awaited.
 
     Returns:
@@ -82,7 +81,6 @@ def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Features and spreads of pixels.
 
     Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
         channels: features of a pixel.
 
     Returns:

@@ -17,9 +17,6 @@ from warp_kernels.training.activations import opacity_functions
 def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread per Gaussian.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(gaussian_means, gaussian_means_adjoint)``, launched over ``whole_warps``.
     """

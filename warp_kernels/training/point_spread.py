@@ -18,9 +18,6 @@ from warp_kernels.machinery.loading import made_once
 def point_spread_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread per number of the image.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(spread, spread_adjoint)``.
     """

@@ -14,9 +14,6 @@ from warp_kernels.training.activations import opacity_functions
 def noise_kernel(dtype: type) -> wp.Kernel:
     """One thread a Gaussian, launched over ``whole_warps``.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         The Warp kernel.
     """

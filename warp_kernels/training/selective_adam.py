@@ -10,9 +10,6 @@ from warp_kernels.machinery.loading import made_once
 def selective_adam_kernel(dtype: type) -> wp.Kernel:
     """The kernel, one thread a number.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         The Warp kernel.
     """

@@ -12,9 +12,6 @@ from warp_kernels.machinery.loading import made_once
 def small_product_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
     """The kernels, one thread for each row of a product, which has three numbers.
 
-    Args:
-        dtype: ``wp.float32`` or ``wp.float64``.
-
     Returns:
         ``(multiply, multiply_transposed)``.
     """

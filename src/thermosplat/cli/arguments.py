@@ -83,7 +83,6 @@ def parse_train_arguments(argv: list[str], measured: dict[str, Any] | None = Non
     that flags override the preset and --help shows the preset's values.
 
     Args:
-        argv: Arguments without the program's name.
         measured: Settings by nested names that stand between those of the capture's train.yaml and the flags.
 
     Returns:

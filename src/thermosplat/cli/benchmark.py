@@ -14,7 +14,7 @@ import tyro
 
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.config.run_schedule import run_schedule
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import parse_methods, parse_scenes
@@ -62,11 +62,9 @@ class BenchmarkArguments:
     """Use so many CUDA devices, a process on each, in place of all."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
-    max_gaussians: int | None = None
-    """Growth of every set of Gaussians stops at this count (some methods have two). None: as each method has it."""
     overrides: Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="[CELLS:]FIELD=VALUE")] = ()
     """Settings other than the presets', of every cell or of a method, a scene or scene/method:
-    3dgs:densification.max_gaussians=200000."""
+    densification.max_gaussians=200000, or 3dgs:densification.max_gaussians=200000."""
     shard: str | None = None
     """Make one part of the cells: 2/8 is the second of eight, each of which another host makes. With one --out on a
     shared disk the tables hold what all have made so far; elsewhere --merge joins the folders."""
@@ -82,18 +80,6 @@ class BenchmarkArguments:
     """Cells made elsewhere: --out folders, run folders, or results.json files. They count as finished."""
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Show the traceback of an error."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code: 0, 2 for a mistake of the user's or a cell that failed, 130 after Ctrl-C.
-    """
-    return run_program(BenchmarkArguments, _benchmark, argv, prog="thermosplat-benchmark")
 
 
 def _benchmark(arguments: BenchmarkArguments) -> int:
@@ -179,7 +165,7 @@ def _steps(matrix: "Matrix", cells: "Sequence[Cell]") -> str:
 
 def _matrix(arguments: BenchmarkArguments) -> "Matrix":
     most = 100_000_000
-    positive = dict.fromkeys(("max_steps", "data_factor", "max_gaussians", "gpus"), (1, most))
+    positive = dict.fromkeys(("max_steps", "data_factor", "gpus"), (1, most))
     check_ranges(arguments, **positive, save_every=(0, most), time_limit=(0, math.inf))
     if not arguments.seeds or min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds):
         raise UserError(f"--seeds must be different whole numbers from 0 on, found {list(arguments.seeds)}.")
@@ -197,12 +183,13 @@ def _matrix(arguments: BenchmarkArguments) -> "Matrix":
         max_steps=arguments.max_steps,
         save_every=arguments.save_every,
         data_factor=arguments.data_factor,
-        max_gaussians=arguments.max_gaussians,
         overrides=parse_overrides(arguments.overrides, [scene.name for scene in scenes], methods),
         lpips_weights=arguments.lpips_weights,
         keep_checkpoints=arguments.keep_checkpoints,
     )
 
+
+main = program(BenchmarkArguments, _benchmark, prog="thermosplat-benchmark")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -29,14 +29,7 @@ class CellArguments:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command with some words, or with the process's; the exit code."""
     arguments = tyro.cli(CellArguments, prog="benchmark_cell", args=sys.argv[1:] if argv is None else argv)
     return run_command(lambda: _make(arguments), debug=False, one_line=True)  # for ``Job.reason``
 

@@ -12,7 +12,7 @@ import tyro
 
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 
 
 @dataclass(frozen=True)
@@ -41,18 +41,6 @@ class CompareArguments:
     """"cuda", "cuda:1", "cpu", or "auto": CUDA where there is a device."""
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Show the traceback of an error."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
-    return run_program(CompareArguments, _compare, argv, prog="thermosplat-compare")
 
 
 def _compare(arguments: CompareArguments) -> int:
@@ -110,6 +98,8 @@ def _do(*words: str) -> None:
     if code := subprocess.run([sys.executable, "-P", "-m", "thermosplat", *words], check=False).returncode:
         sys.exit(code)
 
+
+main = program(CompareArguments, _compare, prog="thermosplat-compare")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.files import data_from_anywhere
@@ -31,18 +31,6 @@ class EvalArguments(TemperatureSettings, RunOnCaptureArguments):
 
     lpips_weights: str | None = None
     """Folder or file with LPIPS backbone weights (torchvision state_dict). None: as the run was told."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
-    return run_program(EvalArguments, _evaluate, argv, prog="thermosplat-eval")
 
 
 def _evaluate(arguments: EvalArguments) -> int:
@@ -192,6 +180,8 @@ def _print_regions(regions: "Regions") -> None:
 def _cell(number: float | None, form: str) -> str:
     return "-" if number is None else format(number, form)
 
+
+main = program(EvalArguments, _evaluate, prog="thermosplat-eval")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -7,7 +7,7 @@ from pathlib import Path
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.exporting.arguments import ExportArguments
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.errors import UserError
 
 FLAGS_OF_FORMATS = (
@@ -16,18 +16,6 @@ FLAGS_OF_FORMATS = (
     ("meshes", "mesh", ("voxel",)),
 )
 """What takes them, its --format, and the flags that nothing else takes."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
-    return run_program(ExportArguments, _export, argv, prog="thermosplat-export")
 
 
 def _export(arguments: ExportArguments) -> int:
@@ -71,6 +59,8 @@ def _export(arguments: ExportArguments) -> int:
         print(note)
     return 0
 
+
+main = program(ExportArguments, _export, prog="thermosplat-export")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""Flags of gsplat, INRIA's 3DGS, nerfstudio and older versions, and what thermosplat-train has in their place.
+"""Flags of gsplat, INRIA's 3DGS and nerfstudio, and of settings that are gone: what thermosplat-train has instead.
 
 docs/migrating.md holds the same table for readers.
 """
@@ -6,7 +6,7 @@ docs/migrating.md holds the same table for readers.
 import dataclasses
 
 from thermosplat.config import TrainConfig
-from thermosplat.config.renamed import GONE, NEW_NAMES, gone
+from thermosplat.config.gone_settings import GONE, gone
 from thermosplat.errors import UserError
 
 _COUNTERPARTS = {
@@ -36,27 +36,11 @@ _NOTHING = {
 }
 """Flags that have no counterpart any more, by the setting that they had."""
 _DATA = ("-s", "--source-path", "--data", "--data-dir")
-_OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()} | {
-    f"--{old.replace('_', '-')}": f"--{new.removeprefix('spectra.').replace('_', '-')}"
-    for old, new in NEW_NAMES.items()
-    if old != new.removeprefix("spectra.") and gone(new) is None
-}
-_OURS |= {
-    "--model.no-rgb": "--without rgb",
-    "--model.no-thermal": "--without thermal",
-    "--model.geometric-decoupling": "--thermal.opacity offset",
-    "--model.no-geometric-decoupling": "--thermal.opacity shared",
-    "--decoder.no-hybrid-rgb": "--decoder.no-hybrid",
-    "--densification.decompose-threshold": "--densification.strategy decomposing",
-    "--densification.no-enabled": "--densification.stop-step 0",
-}
+_OURS = {flag: ours for ours, flags in _COUNTERPARTS.items() for flag in flags.split()}
 
 
 def refuse_foreign_flags(argv: list[str]) -> None:
     """Name our own flag where a command line has another trainer's.
-
-    Args:
-        argv: Arguments without the program's name.
 
     Raises:
         UserError: At the first such flag.
@@ -81,9 +65,6 @@ _GROUPS = frozenset(field.name for field in dataclasses.fields(TrainConfig))
 
 def without_gone_flags(argv: list[str]) -> list[str]:
     """A command line without flags of settings that there are no more, where they ask for what is done today.
-
-    Args:
-        argv: Arguments without the program's name.
 
     Raises:
         UserError: At the first such flag that asks for something else.
@@ -115,7 +96,7 @@ def _number_or_text(word: str) -> float | str:
 def _setting(flag: str) -> tuple[str, bool]:
     """The dotted name of a flag's setting, and what a flag without a value says of it."""
     *groups, key = flag.removeprefix("--").replace("-", "_").split(".")
-    if groups and groups[0] not in _GROUPS and f"{groups[0]}.{key}" not in NEW_NAMES:
+    if groups and groups[0] not in _GROUPS:
         groups = ["spectra", *groups]
     off = key.startswith("no_") and gone(".".join([*groups, key])) is None
     return ".".join([*groups, key.removeprefix("no_") if off else key]), not off

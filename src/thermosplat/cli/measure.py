@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.cli.recalculating import known_scale
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.temperature_settings import TemperatureSettings
@@ -40,18 +40,6 @@ class MeasureArguments(TemperatureSettings, RunOnCaptureArguments):
     """The same of regions below this value."""
     output: str | None = None
     """Folder for measured.csv, measured.json and regions.json. None: RUN/measurements."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
-    return run_program(MeasureArguments, _measure, argv, prog="thermosplat-measure")
 
 
 def _measure(arguments: MeasureArguments) -> int:
@@ -143,6 +131,8 @@ def _write_regions(arguments: MeasureArguments, measurer: "Measurer", metres: fl
     write_text(folder / "regions.json", json.dumps({**content, "regions": listed}, indent=1) + "\n")
     print(f"{len(found)} regions: {folder / 'regions.json'}")
 
+
+main = program(MeasureArguments, _measure, prog="thermosplat-measure")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -50,14 +50,7 @@ STEPS: dict[str, tuple[type[Any], Callable[[Any], int]]] = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command with some words, or with the process's; the exit code."""
     words = sys.argv[1:] if argv is None else argv
     if words and words[0] in STEPS:
         arguments, body = STEPS[words[0]]

@@ -13,7 +13,6 @@ def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: l
     Args:
         kind: As of ``parse_command_line``, with a flag ``debug``.
         body: What the program does; returns the exit code.
-        argv: Arguments without the program's name. None: the process's.
         prog: The program's name.
 
     Returns:
@@ -21,3 +20,12 @@ def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: l
     """
     words = sys.argv[1:] if argv is None else argv
     return run_command(lambda: body(parse_command_line(kind, words, prog=prog)), debug="--debug" in words)
+
+
+def program(kind: type[Arguments], body: Callable[[Arguments], int], *, prog: str) -> Callable[..., int]:
+    """The ``main`` of a program: takes words (None: the process's), returns the exit code; arguments as above."""
+
+    def main(argv: list[str] | None = None) -> int:
+        return run_program(kind, body, argv, prog=prog)
+
+    return main

@@ -18,7 +18,6 @@ def asked_temperatures(
 
     Args:
         settings: The command's flags.
-        loaded: The run.
         capture: Its capture; None: it is not at hand.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from thermosplat.cli.command_line import check_ranges
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.cli.recalculating import asked_temperatures
 from thermosplat.cli.run_arguments import RunOnCaptureArguments, SpectraArguments
 from thermosplat.config.temperature_settings import TemperatureSettings
@@ -45,18 +45,6 @@ class RenderArguments(TemperatureSettings, SpectraArguments, RunOnCaptureArgumen
     """Images along the path; the train and test paths have one for each view."""
     fps: int = 30
     """Images a second of the video."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
-    return run_program(RenderArguments, _render, argv, prog="thermosplat-render")
 
 
 def _render(arguments: RenderArguments) -> int:
@@ -150,6 +138,8 @@ def _named_path(asked: str) -> "tuple[PathName | None, list[Bookmark]]":
         )
     return None, read_bookmarks(file)
 
+
+main = program(RenderArguments, _render, prog="thermosplat-render")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.program import run_program
+from thermosplat.cli.program import program
 from thermosplat.cli.recalculating import known_scale
 from thermosplat.cli.run_arguments import RunOnCaptureArguments
 from thermosplat.config.temperature_settings import TemperatureSettings
@@ -45,18 +45,6 @@ class ReportArguments(TemperatureSettings, RunOnCaptureArguments):
     """Folder of thermosplat-compare: the report lists what changed since its first date. None: it does not."""
     output: str | None = None
     """Folder for report.html and report.pdf. None: RUN/report."""
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code.
-    """
-    return run_program(ReportArguments, _report, argv, prog="thermosplat-report")
 
 
 def _report(arguments: ReportArguments) -> int:
@@ -173,6 +161,8 @@ def _reference(name: str | None, pages: "Pages", spectrum: str) -> float | None:
         )
     return known[name]
 
+
+main = program(ReportArguments, _report, prog="thermosplat-report")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,19 +17,13 @@ def with_groups(argv: list[str], spectra: Collection[str]) -> list[str]:
     """A command line with the flags of spectra as the configuration has them.
 
     Args:
-        argv: Arguments without the program's name.
         spectra: Names of the spectra.
     """
     return [_with_group(word, spectra) for word in argv]
 
 
 def named_spectra(argv: list[str], known: Mapping[str, SpectrumConfig]) -> dict[str, SpectrumConfig]:
-    """The known spectra, and those that a command line has flags of: a configuration file may define them.
-
-    Args:
-        argv: Arguments without the program's name.
-        known: The known ones.
-    """
+    """The known spectra, and those that a command line has flags of: a configuration file may define them."""
     return dict(known) | {name: SpectrumConfig() for _, name in _flags(argv) if name not in known}
 
 
@@ -37,7 +31,6 @@ def refuse_unknown_spectra(argv: list[str], spectra: Collection[str]) -> None:
     """Say which spectra there are where a command line has a flag of another.
 
     Args:
-        argv: Arguments without the program's name.
         spectra: Names of the spectra.
 
     Raises:

@@ -31,10 +31,7 @@ if TYPE_CHECKING:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
+    """Run the command with some words, or with the process's.
 
     Returns:
         The exit code: 0, 2 for a mistake of the user's, 130 after Ctrl-C, 143 after SIGTERM.

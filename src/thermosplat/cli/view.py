@@ -53,14 +53,7 @@ class ViewArguments(TemperatureSettings):
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name. None: the process's.
-
-    Returns:
-        The exit code: 130 after Ctrl-C, which ends it.
-    """
+    """Run the command with some words, or with the process's; the exit code: 130 after Ctrl-C, which ends it."""
     unfinished: list[str] = []
     code = run_program(ViewArguments, lambda arguments: _view(arguments, unfinished), argv, prog="thermosplat-view")
     if unfinished:  # Python would end under a thread that renders, and abort there

@@ -21,11 +21,7 @@ class ViewerFlags:
 
 
 def with_viewer_port(argv: list[str]) -> list[str]:
-    """A command line in which ``--viewer`` has a port, as the parser wants it.
-
-    Args:
-        argv: Arguments without the program's name.
-    """
+    """A command line in which ``--viewer`` has a port, as the parser wants it."""
     words: list[str] = []
     for number, word in enumerate(argv):
         words.append(word)
@@ -36,9 +32,6 @@ def with_viewer_port(argv: list[str]) -> list[str]:
 
 def viewer_flags(argv: list[str]) -> ViewerFlags:
     """What a command line that was understood says of the viewer; of several the last.
-
-    Args:
-        argv: Arguments without the program's name.
 
     Raises:
         UserError: The port is none.

@@ -58,7 +58,7 @@ def compare(
     unit, length = str(dates[0].run.scales[spectrum].measured_unit), "m" if grid.frame.crs else "units"
     said, files, stated = [], [], list[dict[str, Any]]()
     for date, later, found in zip(dates[1:], maps[1:], changes):
-        line = _said(date.name, dates[0].name, found, unit)
+        line = changes_said(date.name, dates[0].name, found, unit)
         said.append(line)
         offset = np.zeros(3) if date.to_first.offset is None else date.to_first.offset
         to_first = np.column_stack([date.to_first.scale * date.to_first.rotation, offset])
@@ -110,7 +110,8 @@ def _grid(
     return MapGrid.over(frame, capture, leading, extent=extent, pixel=pixel)
 
 
-def _said(name: str, first: str, changes: Changes, unit: str) -> str:
+def changes_said(name: str, first: str, changes: Changes, unit: str) -> str:
+    """What changed from the first date to another one, in a sentence or two."""
     counts = Counter(one.kind for one in changes.found)
     listed = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
     season = (

@@ -62,7 +62,6 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
     edge of a flight, counts nowhere.
 
     Args:
-        date: The date.
         grid: The grid, in the frame of the first date's scene.
         spectrum: Whose values are compared.
         photographs: The spectrum of the photographs; None: there is none.

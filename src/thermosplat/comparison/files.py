@@ -51,7 +51,6 @@ def write_difference(
 
     Args:
         folder: Where.
-        grid: The grid.
         maps: The first and the later date.
         changes: What changed.
         unit: Unit of the values.
@@ -99,7 +98,6 @@ def entries(changes: Changes, grid: MapGrid) -> list[dict[str, Any]]:
 
     Args:
         changes: What changed.
-        grid: The grid.
     """
     found = []
     for number, one in enumerate(changes.found, 1):
@@ -156,7 +154,6 @@ def write_page(
 
     Args:
         folder: Where.
-        dates: The dates.
         maps: What they show.
         changes: Of each later date against the first.
         content: As of ``write_tables``.

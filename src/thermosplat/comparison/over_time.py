@@ -31,7 +31,6 @@ def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence
     A place that changed at several dates has one row, under its first name.
 
     Args:
-        dates: The dates.
         maps: What they show on the grid.
         changes: Of each later date against the first.
     """

@@ -86,21 +86,21 @@ def shared_frame(
     ours, theirs = (list(_features(run, capture, spectrum)) for run, capture in (first, other))
     source, target, depth = [], [], []
     for one, two in _candidates(ours, theirs, start):
-        near, far = _matched(one.descriptors, two.descriptors)
+        near, far = matched(one.descriptors, two.descriptors)
         if len(near) < _FEWEST:
             continue
-        agreeing = _agreeing(two.points[far], one.points[near], _WITHIN * one.depth)
-        if agreeing.sum() >= _FEWEST:
-            source.append(two.points[far][agreeing])
-            target.append(one.points[near][agreeing])
-            depth.append(np.full(int(agreeing.sum()), one.depth))
+        alike = agreeing(two.points[far], one.points[near], _WITHIN * one.depth)
+        if alike.sum() >= _FEWEST:
+            source.append(two.points[far][alike])
+            target.append(one.points[near][alike])
+            depth.append(np.full(int(alike.sum()), one.depth))
     if sum(map(len, source)) < _FEWEST_TOGETHER:
         raise UserError(
             f"The photographs of {other[0].directory.path} and {first[0].directory.path} show nothing in common, so "
             "there is no frame in which both scenes lie.",
             "Are they of the same place, by about the same light and season? Compare two runs of one place.",
         )
-    return _together(np.concatenate(source), np.concatenate(target), np.concatenate(depth))
+    return together(np.concatenate(source), np.concatenate(target), np.concatenate(depth))
 
 
 @torch.no_grad()
@@ -165,7 +165,7 @@ def _candidates(
         yield from ((ours[number], two) for number in np.argsort(apart)[:_NEAREST])
 
 
-def _matched(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def matched(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Which descriptors of two photographs are each other's nearest, and clearly nearer than the second."""
     if len(ours) < 2 or len(theirs) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
@@ -181,7 +181,7 @@ def _matched(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> tuple[ND
     return best[kept], rows[kept]
 
 
-def _agreeing(source: Array, target: Array, within: float) -> NDArray[np.bool_]:
+def agreeing(source: Array, target: Array, within: float) -> NDArray[np.bool_]:
     """Pairs of points that one similarity brings together."""
     matrix = ransac_similarity(source, target, within, _TRIALS_OF_TWO)
     if matrix is None:
@@ -189,7 +189,7 @@ def _agreeing(source: Array, target: Array, within: float) -> NDArray[np.bool_]:
     return np.asarray(np.linalg.norm(source @ matrix[:, :3].T + matrix[:, 3] - target, axis=1) < within)
 
 
-def _together(source: Array, target: Array, depth: Array) -> SharedFrame:
+def together(source: Array, target: Array, depth: Array) -> SharedFrame:
     """The similarity of all pairs; those of photographs that were fooled have no weight in the end."""
     start = ransac_similarity(source, target, _WITHIN * float(np.median(depth)), _TRIALS_OF_ALL)
     matrix = np.eye(4)[:3] if start is None else start

@@ -47,7 +47,6 @@ def parsed(text: str, channels: int, called: str) -> BandFormula:
     """Read "name = formula".
 
     Args:
-        text: The text.
         channels: How many bands there are.
         called: The setting, for messages.
 

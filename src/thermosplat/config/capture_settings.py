@@ -24,7 +24,6 @@ def with_recommendations(preset: TrainConfig, data: str) -> tuple[TrainConfig, P
     """A preset with what a capture recommends.
 
     Args:
-        preset: The preset.
         data: Folder of the capture; "" or another name for none.
 
     Returns:

@@ -80,7 +80,6 @@ def check_config(config: TrainConfig, *, source: str = "") -> None:
     """Look for values that no run can work with.
 
     Args:
-        config: The configuration.
         source: File it was read from; empty for the command line, whose flags are then named.
 
     Raises:

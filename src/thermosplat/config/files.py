@@ -1,8 +1,8 @@
 """Configurations as YAML: presets that come with the package, files of the user's, the resolved one of a run.
 
 A file states only what differs from its ``base``, another preset or file, or from the schema's defaults (schema.py)
-where it names none. Keys are strict: an unknown one is an error that names the nearest known key. Keys of
-older versions are read under today's names (renamed.py).
+where it names none. Keys are strict: an unknown one is an error that names the nearest known key, and one of a
+setting that there is no more says what is done in its place (gone_settings.py).
 """
 
 import os
@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.checks import check_config
-from thermosplat.config.renamed import with_todays_names
+from thermosplat.config.gone_settings import without_gone_settings
 from thermosplat.config.values import fill, nearest, shortened, shown
 from thermosplat.config.yaml_files import read_yaml
 from thermosplat.errors import UserError
@@ -79,13 +79,13 @@ def from_dict(
     Args:
         values: Nested dictionary as `to_dict` makes it.
         source: What to call its origin in error messages.
-        notes: As ``with_todays_names``'s.
+        notes: As ``without_gone_settings``'s.
 
     Raises:
         UserError: An unknown key, or a value of the wrong type or range.
     """
     try:
-        config = fill(TrainConfig(), with_todays_names(values, source=source, notes=notes), source=source)
+        config = fill(TrainConfig(), without_gone_settings(values, source=source, notes=notes), source=source)
     except RecursionError as error:
         raise UserError(f"{source} is nested too deeply to be a configuration.") from error
     check_config(config, source=source)
@@ -114,7 +114,7 @@ def _load(name_or_path: str, visited: tuple[Path, ...]) -> TrainConfig:
         start = replace(_load(base, (*visited, path)), config="")
     else:
         raise UserError(f"{path}: base must be the name of a preset or a YAML file, found {shown(base)}.")
-    config = fill(start, with_given_steps(with_todays_names(values, source=str(path))), source=str(path))
+    config = fill(start, with_given_steps(without_gone_settings(values, source=str(path))), source=str(path))
     check_config(config, source=str(path))
     return config
 

@@ -55,7 +55,6 @@ def check_spectra(config: TrainConfig, name: Name) -> None:
     """Look for a list of spectra that no run can work with.
 
     Args:
-        config: The configuration.
         name: Turns a dotted field into what the user calls it.
 
     Raises:

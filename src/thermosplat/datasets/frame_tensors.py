@@ -168,9 +168,7 @@ def frame_tensors(
     """Put a frame on a device.
 
     Args:
-        frame: The frame.
         scales: The capture's, by spectrum.
-        device: Where the tensors go.
         as_bytes: Images that are bytes stay bytes, in a quarter of the memory.
     """
     views = {name: view_tensors(view, scales[name], device, as_bytes=as_bytes) for name, view in frame.views.items()}
@@ -183,9 +181,7 @@ def view_tensors(
     """Put a view on a device; with a scale also its scalar intensity (inverse palette, or the scalar itself).
 
     Args:
-        view: The view.
         scale: What its pixels mean; None: no intensity is wanted.
-        device: Where the tensors go.
         as_bytes: As of ``frame_tensors``.
     """
     held = view.pixels()

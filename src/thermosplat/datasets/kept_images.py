@@ -17,7 +17,6 @@ def keep_images(capture: Capture, result_folder: Path) -> list[str]:
 
     Args:
         capture: The capture; nothing is done for one that is in memory.
-        result_folder: The folder.
 
     Returns:
         What to tell of it, a line each.

@@ -140,8 +140,6 @@ def sampled_frames(frames: Sequence[FrameFiles], spectra: Mapping[str, SpectrumC
     """Indices of the frames that say what the images are: spread over each spectrum, and those that are unlike others.
 
     Args:
-        frames: All frames.
-        spectra: The spectra.
         headers: Of their files.
     """
     chosen: set[int] = set()
@@ -197,7 +195,6 @@ def read_sample(
         root: The capture's folder.
         name: The spectrum's name.
         spectrum: Its settings.
-        frames: All frames.
         sample: Indices of those that are read.
         headers: Of all files.
         listing: What the layout knows of the capture.

@@ -12,9 +12,8 @@ from thermosplat.datasets.colmap.model import (
     read_model,
     with_points,
 )
-from thermosplat.datasets.colmap.plain_project import list_colmap_folder
-from thermosplat.datasets.colmap.rgbt_scenes import list_rgbt_scenes
 from thermosplat.datasets.colmap.rig import list_colmap_rig, registered_spectra
+from thermosplat.datasets.colmap.shared_cameras import list_shared_cameras
 from thermosplat.datasets.frame_files import Listing
 from thermosplat.datasets.images.image_files import list_images
 from thermosplat.datasets.images.image_folders import (
@@ -70,8 +69,11 @@ def _list_layout(root: Path, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     counted = present if rig else [*present, *values][:1]
     check_reconstruction(model, sum(len(list_images(folder, recursive=True)) for folder in counted), root)
     model, notes = with_points(model)
-    list_layout = list_colmap_rig if rig else list_rgbt_scenes if first.is_dir() else list_colmap_folder
-    listing = list_layout(root, model, spectra)
+    if rig:
+        listing = list_colmap_rig(root, model, spectra)
+    else:
+        published = first.is_dir()
+        listing = list_shared_cameras(root, first if published else images, model, spectra, published=published)
     return replace(listing, notes=(*listing.notes, *notes))
 
 

@@ -41,7 +41,6 @@ def triangulation_angle(cameras: Sequence[Seen], points: NDArray[np.floating]) -
     Which cameras found a point is not asked for, so that what hides it does not count.
 
     Args:
-        cameras: The cameras.
         points: Places of the scene, [P, 3] [world units].
 
     Returns:
@@ -71,7 +70,6 @@ def point_spacing(
     Points that something hides count, too.
 
     Args:
-        cameras: The cameras.
         points: Places of the scene, [P, 3] [world units].
         distances: Of each point to its neighbours, [P] [world units].
 

@@ -94,7 +94,6 @@ class PixelCache:
         Args:
             key: 32 hexadecimal digits: what it was made of.
             part: Which of the arrays made of that.
-            array: The array.
         """
         if self.folder is None or not self.folder.is_dir():  # the result folder may have been moved away
             return

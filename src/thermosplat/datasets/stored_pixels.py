@@ -94,7 +94,6 @@ class StoredPixels:
     Args:
         shot: The files.
         header: Of the file that the image is made of.
-        stamps: Of the files.
         source: What the spectrum's images are.
         meaning: How they become an image.
         camera: The view's, as the capture has it.

@@ -34,7 +34,6 @@ class Lifeline:
     """This rank's end of the connections.
 
     Args:
-        team: The ranks.
         tell: Tells the user that a rank died: its name. Called on one rank alone.
 
     Attributes:

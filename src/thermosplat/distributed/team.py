@@ -216,7 +216,6 @@ def row_fetch(team: Team, counts: Sequence[int], rows: Tensor) -> RowFetch:
     """Ask for rows of divided tensors. Waits for the device.
 
     Args:
-        team: The ranks.
         counts: Rows that each rank has.
         rows: int64 [n], which this rank asks for, counted over all ranks.
     """

@@ -22,11 +22,7 @@ class ClassValues:
         self._units: dict[str, str] = {}
 
     def add(self, views: "Sequence[RenderedView]") -> None:
-        """Take over the values of a frame.
-
-        Args:
-            views: Its views.
-        """
+        """Take over the values of a frame."""
         for labelled in views:
             formation = labelled.formation
             if formation is None or not formation.classes:

@@ -47,8 +47,6 @@ def coherence(
     Args:
         model: The trained scene.
         capture: Its capture, whose held-out views' cameras are used: those of the second spectrum, else of the first.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
     """
     made = {}
     for pair in combinations(model.spectra, 2):

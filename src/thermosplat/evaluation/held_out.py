@@ -112,11 +112,7 @@ def rendered_views(
     """Render a frame; yields its spectra that are both modelled and photographed.
 
     Args:
-        model: The scene.
-        frame: The frame.
         scales: The capture's scales.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
         temperatures: How measured values are recalculated; None: they are not.
     """
     # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
@@ -148,10 +144,7 @@ def evaluate(
     """Render every held-out view, clamped to [0, 1], and compare it with its image.
 
     Args:
-        model: The scene.
         capture: Its capture; ``capture.test`` is rendered.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
         lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
         strips_dir: Folder for one PNG per frame: ground truth, render and error of its spectra.
         csv_path: File for the numbers of every view.
@@ -200,11 +193,7 @@ def frame_comparisons(
     """Ground truth, render and error of one frame, by spectrum.
 
     Args:
-        model: The scene.
-        frame: The frame.
         scales: The capture's scales.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
         ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales.
     """
     shown = ranges or {}

@@ -62,11 +62,8 @@ def evaluate_refined(
     """Judge a model by its held-out views, whose poses are found first if training refined those of its own.
 
     Args:
-        model: The scene.
         capture: The capture with corrected cameras (``corrected_capture``).
         config: The run's; what it refines, and the weights of the image losses.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
         lpips: As of ``evaluate``.
         strips_dir: As of ``evaluate``.
         csv_path: As of ``evaluate``.
@@ -111,8 +108,6 @@ def held_out_motions(
         model: The scene; it stays as it is.
         capture: The capture, whose ``test`` frames are looked at.
         config: Weights of the image losses.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
 
     Returns:
         (r, t) by the frame's name [rad, scene extents], shape [6], the best of all updates.

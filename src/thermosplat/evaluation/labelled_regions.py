@@ -80,10 +80,7 @@ def region_errors(
     """Image and depth errors by region, over the held-out views that have ground truth.
 
     Args:
-        model: The scene.
         capture: Its capture; ``capture.test`` is rendered.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
         temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:
@@ -120,11 +117,7 @@ def write_regions(
 
     Args:
         run: The run folder.
-        model: The scene.
-        capture: Its capture.
         steps: Training steps done.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
         path: Another file in place of regions.json.
         temperatures: As of ``region_errors``.
 

@@ -203,7 +203,6 @@ def other_frames(then: list[str] | None, capture: Capture) -> str:
 
     Args:
         then: Names of the frames that the run was trained on; None: it does not say, and they count as the same.
-        capture: The capture.
 
     Returns:
         A sentence, or "" if they are the same by number and name.

@@ -40,10 +40,7 @@ def training_views(
     """PSNR of some training views [dB], and what the best single colour has, by spectrum.
 
     Args:
-        model: The scene.
         capture: Its capture, of which some of ``capture.train`` are rendered.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
     """
     errors: dict[str, list[float]] = {}
     targets: dict[str, list[Tensor]] = {}

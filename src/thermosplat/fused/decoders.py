@@ -36,7 +36,6 @@ def teams(device: torch.device, hidden: int, features: int) -> tuple[int, ...]:
     """How many warps may share 16 pixels in the adjoint, where there are kernels for networks of a shape.
 
     Args:
-        device: Where they run.
         hidden: Channels of hidden layers.
         features: Channels of the features.
 

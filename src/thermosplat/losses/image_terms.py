@@ -147,7 +147,6 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
 
     Args:
         rendered: The render.
-        frame: The frame.
         config: Weights; what has none is left out.
     """
     return _of_images_first(_losses_of_spectra(rendered, frame, config))
@@ -188,7 +187,6 @@ def _fused(terms: Sequence[ImageTerm], ssim_lambda: float, smoothed: dict[str, f
     """All terms of images of one size by one call of Warp's kernels, and with one of them its smoothness.
 
     Args:
-        terms: The terms.
         ssim_lambda: λ_s.
         smoothed: Weight of the smoothness by spectrum; the kernels take the first of a call.
     """

@@ -5,10 +5,9 @@ from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thermosplat.config import TrainConfig
-from thermosplat.config.renamed import with_todays_names
+from thermosplat.config.gone_settings import without_gone_settings
 from thermosplat.errors import UserError
-from thermosplat.method_matrix.cells import Cell, settings
+from thermosplat.method_matrix.cells import Cell
 from thermosplat.runs.atomic_writes import write_text
 
 if TYPE_CHECKING:
@@ -16,9 +15,6 @@ if TYPE_CHECKING:
 
 FILE_NAME = "cell.json"
 FORMAT = 2
-OLD_FORMAT = 1
-"""Of version 0.1, which knew two spectra by name."""
-
 Metrics = dict[str, float | None]
 
 
@@ -104,8 +100,6 @@ def result_from(values: Any, path: Path) -> CellResult:
     Raises:
         UserError: Something is missing, or it is of another version.
     """
-    if isinstance(values, dict) and values.get("format") == OLD_FORMAT:
-        values = _as_today(values, path)
     names = {field.name for field in fields(CellResult)}
     required = {field.name for field in fields(CellResult) if field.default is MISSING}
     if not isinstance(values, dict) or values.get("format") != FORMAT or not required <= values.keys():
@@ -114,38 +108,10 @@ def result_from(values: Any, path: Path) -> CellResult:
             "Delete it; thermosplat-benchmark then makes that cell again.",
         )
     result = CellResult(**{name: values[name] for name in names & values.keys()})
-    return replace(result, settings=_settings_of_today(result.settings, path))
-
-
-def _settings_of_today(made_with: dict[str, Any], path: Path) -> dict[str, Any]:
     try:
-        return with_todays_names(made_with, source=str(path))
+        return replace(result, settings=without_gone_settings(result.settings, source=str(path)))
     except UserError as error:
         raise UserError(error.message, "Delete that file; thermosplat-benchmark then makes the cell again.") from error
-
-
-def _as_today(values: dict[str, Any], path: Path) -> dict[str, Any]:
-    """A cell of format 1 in today's format."""
-    spectra = {name: values[name] for name in ("rgb", "thermal") if values.get(name) is not None}
-    per_view = [
-        {"spectrum" if key == "modality" else key: value for key, value in row.items()}
-        for row in values.get("per_view", [])
-    ]
-    # Settings that 0.1 did not have get their defaults, so that its matrices can be gone on with.
-    made_with = _settings_of_today(values.get("settings", {}), path)
-    steps = made_with.get("max_steps")
-    defaults = TrainConfig(max_steps=steps) if isinstance(steps, int) else TrainConfig()
-    made_with = _filled(settings(defaults), made_with)
-    return values | {"format": FORMAT, "spectra": spectra, "per_view": per_view, "settings": made_with}
-
-
-def _filled(defaults: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """Nested values, with those of ``defaults`` where there are none."""
-    filled = defaults | values
-    for name, default in defaults.items():
-        if isinstance(default, dict) and isinstance(filled[name], dict):
-            filled[name] = _filled(default, filled[name])
-    return filled
 
 
 def read_json(path: Path) -> Any:

@@ -25,8 +25,6 @@ def make_cell(cell: Cell, config: TrainConfig, folder: Path, *, keep_checkpoint:
     """Train and measure a cell.
 
     Args:
-        cell: Which cell.
-        config: Its configuration.
         folder: Its run folder; an interrupted run in it with the same settings is gone on with.
         keep_checkpoint: Keep the last checkpoint; the earlier ones go in any case.
 
@@ -111,10 +109,7 @@ def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int, de
     Every frame is rendered once before the clock starts. Nothing is copied back from the device.
 
     Args:
-        model: The scene.
         capture: Its capture; ``capture.test`` is rendered.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
     """
     frames = [
         FrameTensors(f.name, {name: without_pixels(v, device) for name, v in f.views.items()}, f.shared_cameras)

@@ -110,19 +110,14 @@ def cell_config(
 
     Args:
         preset: The method's preset or YAML file.
-        scene: The scene.
-        seed: The seed.
         max_steps: Steps of a method that has 30,000; others in proportion. None: as the method has it.
         save_every: Steps between checkpoints; 0: only the last step's.
-        **changes: Other fields of the configuration, and ``max_gaussians``, the limit of its densification.
+        **changes: Other fields of the configuration.
     """
     config = load_config(preset)
     if max_steps is not None:
         steps = max(1, round(config.max_steps * max_steps / REFERENCE_STEPS))
         config = replace(config, **with_given_steps({"max_steps": steps}))
-    max_gaussians = changes.pop("max_gaussians", None)
-    if max_gaussians is not None:
-        changes["densification"] = replace(config.densification, max_gaussians=max_gaussians)
     return replace(
         config,
         data=scene.data,

@@ -40,8 +40,6 @@ class Matrix:
     """Steps between checkpoints; 0: only the last step's."""
     data_factor: int = 1
     """Divide the images' width and height by this."""
-    max_gaussians: int | None = None
-    """Growth of every set stops at this count."""
     overrides: Sequence[Override] = ()
     """Settings that differ from the presets."""
     lpips_weights: str | None = None
@@ -67,7 +65,6 @@ class Matrix:
             cell.seed,
             max_steps=self.max_steps,
             save_every=self.save_every,
-            max_gaussians=self.max_gaussians,
             data_factor=self.data_factor,
             lpips_weights=self.lpips_weights,
         )

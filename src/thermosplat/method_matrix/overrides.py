@@ -14,7 +14,7 @@ from yaml import YAMLError
 from thermosplat.config import TrainConfig
 from thermosplat.config.checks import check_config
 from thermosplat.config.files import with_given_steps
-from thermosplat.config.renamed import with_todays_names
+from thermosplat.config.gone_settings import without_gone_settings
 from thermosplat.config.values import fill, nearest
 from thermosplat.errors import UserError
 from thermosplat.method_matrix.cells import Cell
@@ -52,7 +52,7 @@ class Override:
             UserError: There is no such field, or the value does not fit it, or not to the other settings.
         """
         source = f"--set {self.word}"
-        values = with_given_steps(with_todays_names(self.values, source=source))
+        values = with_given_steps(without_gone_settings(self.values, source=source))
         changed = fill(config, values, source=source)
         check_config(changed, source=source)
         return changed

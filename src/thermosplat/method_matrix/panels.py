@@ -65,10 +65,6 @@ def write_panels(
 
     Args:
         folder: The cell's run folder.
-        model: The scene.
-        capture: Its capture.
-        sh_degree: Highest SH degree in use.
-        device: Where the model is.
     """
     index: list[dict[str, Any]] = []
     pictures = plain_folder(folder, FOLDER)
@@ -113,7 +109,7 @@ def read_panels(folder: Path) -> dict[tuple[str, str], Panels]:
         truth, render, error = (
             _read(folder / FOLDER / f"{entry['stem']}_{kind}.png") for kind in ("truth", "render", "error")
         )
-        key = entry["frame"], entry.get("spectrum") or entry["modality"]  # the word of version 0.1
+        key = entry["frame"], entry["spectrum"]
         panels[key] = Panels(truth, render, error, entry["score"], entry["palette_end"])
         if entry.get("depth_range"):
             panels[key] = replace(

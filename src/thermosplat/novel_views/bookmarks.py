@@ -76,7 +76,6 @@ def write_bookmarks(path: Path, bookmarks: Sequence[Bookmark]) -> None:
     """Write a bookmarks file.
 
     Args:
-        path: The file.
         bookmarks: Its bookmarks, in the order of the path through them.
     """
     entries = [{"name": b.name, "viewmat": b.viewmat.tolist(), "fov_y": b.fov_y} for b in bookmarks]

@@ -50,7 +50,6 @@ def viewpoints(
 
     Args:
         capture: Gives poses and cameras.
-        path: Which path.
         shown: Names of the spectra, at least one.
         num_frames: Images of a made path, >= 1.
         device: Where to put the camera tensors.
@@ -139,9 +138,6 @@ def rendered_images(
     """Render viewpoints one after the other, as images to look at.
 
     Args:
-        model: The scene.
-        points: The viewpoints.
-        sh_degree: Highest SH degree in use.
         scales: What pixel values mean, by spectrum; scalars are shown through their palettes.
         layout: How the shown spectra are put together (:func:`~thermosplat.pictures.layouts.arranged`).
         color_bar: Put a colour bar of each measured spectrum beside the picture.

@@ -18,13 +18,12 @@ MOST_POINTS = 600
 """Of a line; a longer one is thinned out: a picture has no more pixels."""
 
 
-def line_plot(title: str, lines: Mapping[str, Line], *, x_label: str = "step") -> str:
+def line_plot(title: str, lines: Mapping[str, Line]) -> str:
     """A plot as an ``<svg>`` element; every text in it is escaped.
 
     Args:
         title: Above the plot.
         lines: By name; those without points are left out.
-        x_label: Below the horizontal axis.
 
     Returns:
         SVG; "" where no line has a point.
@@ -54,7 +53,7 @@ def line_plot(title: str, lines: Mapping[str, Line], *, x_label: str = "step") -
                 parts.append(f'<line class="grid" x1="{_LEFT}" y1="{y:.1f}" x2="{WIDTH - _RIGHT}" y2="{y:.1f}"/>')
                 parts.append(f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
     middle = (_LEFT + WIDTH - _RIGHT) / 2
-    parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 6}" text-anchor="middle">{html.escape(x_label)}</text>')
+    parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 6}" text-anchor="middle">step</text>')
     key = float(_LEFT)
     for index, (name, line) in enumerate(shown.items()):
         color = COLORS[index % len(COLORS)]

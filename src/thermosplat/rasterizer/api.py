@@ -29,7 +29,7 @@ from thermosplat.rasterizer.sparse_gradients import check_sparse_gradients, spar
 
 
 @replayed
-def rasterization(  # noqa: D417 (one sentence has the arguments that are not supported)
+def rasterization(
     means: Tensor,  # [..., N, 3]
     quats: Tensor | None,  # [..., N, 4]
     scales: Tensor | None,  # [..., N, 3]

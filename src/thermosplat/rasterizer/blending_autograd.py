@@ -25,7 +25,7 @@ from thermosplat.torch_bridge.arrays import (
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.blending import blending_step
-from warp_kernels.blending.blending_step import BlendLauncher
+from warp_kernels.blending.blended_arrays import BlendedArrays, BlendLauncher
 from warp_kernels.blending.gradient_records import features_apart, sums_apart
 from warp_kernels.machinery.array_views import ArrayView
 from warp_kernels.projection.projection import ProjectedArrays, ProjectionSettings
@@ -158,10 +158,10 @@ class Blend(torch.autograd.Function):
         channels, others = features.shape[-1], 0 if rest is None else rest.shape[-1]
         first, arrays_of_first = _make_images(means2d, inputs, channels + others)
         second: ImageTensors | None = None
-        blended = blending_step.BlendedArrays(*arrays_of_first)
+        blended = BlendedArrays(*arrays_of_first)
         if inputs.thermal_channels > 0:
             second, arrays_of_second = _make_images(means2d, inputs, inputs.thermal_channels)
-            blended = blending_step.BlendedArrays(*arrays_of_first, *arrays_of_second)
+            blended = BlendedArrays(*arrays_of_first, *arrays_of_second)
         arrays = BlendSaved(
             projected.means2d,
             projected.packed_roots,

@@ -42,7 +42,6 @@ def scene_among_ranks(
         make: Projects this rank's Gaussians.
         own: This rank's cameras, [C, 4, 4] and [C, 3, 3], checked; there may be none.
         kind: What they have in common; other ranks may have others.
-        lenses: Their lenses.
         num_gaussians: On this rank.
 
     Raises:

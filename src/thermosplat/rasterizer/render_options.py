@@ -34,9 +34,6 @@ def render_options(
 
     Args:
         render_mode: As in ``rasterization``, as are those below.
-        sh_degree: ...
-        extra_signals_sh_degree: ...
-        channel_chunk: ...
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.

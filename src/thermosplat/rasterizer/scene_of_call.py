@@ -39,7 +39,7 @@ _color_settings = functools.lru_cache(maxsize=256)(ColorSettings)
 _project_unrecorded = functools.partial(Project.forward, None)
 
 
-def project(  # noqa: D417 (the others are those of ``rasterization``)
+def project(
     means: Tensor,  # [..., N, 3]
     quats: Tensor | None,  # [..., N, 4]
     scales: Tensor | None,  # [..., N, 3]

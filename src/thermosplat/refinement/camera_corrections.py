@@ -192,8 +192,6 @@ class CameraCorrections(nn.Module):
         """A view of any frame, held out or new, with what all views of its camera have in common corrected.
 
         Args:
-            spectrum: Its spectrum.
-            view: The view.
             camera: Its camera as the capture has it. One that no training frame has takes the corrections of the only
                 camera of its spectrum, or none where there are several.
         """
@@ -246,7 +244,6 @@ def pose_basis(frame: Frame, points: NDArray[np.float32], scene_extent: float) -
     """P of a frame's motion as a whole, float32 [6, 6]: from z [px] to (r, t) [rad, scene extents].
 
     Args:
-        frame: The frame.
         points: The capture's points [world units], shape [M, 3].
         scene_extent: Radius of the scene [world units].
     """

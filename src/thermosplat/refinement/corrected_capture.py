@@ -39,7 +39,6 @@ def with_moved_frames(capture: Capture, motions: Mapping[str, Tensor]) -> Captur
     """The capture with held-out frames moved as a whole.
 
     Args:
-        capture: The capture.
         motions: (r, t) by the frame's name, shape [6] each, as ``held_out_motions`` finds them.
     """
 

@@ -135,7 +135,6 @@ def register_cameras(
         frames: The training frames.
         turn: Number of the round; it says which frames are looked at.
         sharpness: How images are compared.
-        sh_degree: Highest SH degree in use.
         team: The ranks that share the scene, all of which take the same step; None: there is one.
     """
     rank, ranks = (0, 1) if team is None else (team.rank, team.size)

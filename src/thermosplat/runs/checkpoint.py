@@ -11,7 +11,7 @@
                     "placement": dict (``Placement.state``)}
     scales         {spectrum: dict (``PixelScale.state_dict``)}
     training       dict, see ``SavedTraining``
-    train_frames   list of the training frames' names; checkpoints of 0.1.0 have none
+    train_frames   list of the training frames' names
     test_frames    the same of the held-out frames
 """
 

@@ -14,8 +14,7 @@ import torch
 
 from thermosplat.errors import UserError
 from thermosplat.runs.atomic_writes import write_atomically
-from thermosplat.runs.checkpoint import DELETE_IT, FORMAT, Checkpoint, damage_explained
-from thermosplat.runs.old_checkpoints import OLD_FORMAT, OLD_REQUIRED, as_today
+from thermosplat.runs.checkpoint import DELETE_IT, FORMAT, Checkpoint
 from thermosplat.runs.written_files import CHECKPOINT_NAME
 
 _DTYPES = {
@@ -96,7 +95,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     """Read a checkpoint.
 
     Args:
-        path: A file that :func:`save_checkpoint` wrote, of this version or of 0.1.
+        path: A file that :func:`save_checkpoint` wrote.
         device: Where its tensors go.
 
     Returns:
@@ -117,16 +116,11 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
         raise UserError(f"{path} is damaged or not a thermosplat checkpoint ({reason}).", DELETE_IT) from error
     if not isinstance(state, dict) or not isinstance(state.get("format"), int):
         raise UserError(f"{path} is not a thermosplat checkpoint: it has no format number.")
-    if state["format"] not in (OLD_FORMAT, FORMAT):
+    if state["format"] != FORMAT:
         raise UserError(
             f"{path} has checkpoint format {state['format']}; this version of thermosplat reads format {FORMAT}.",
             "Use the version of thermosplat that wrote it.",
         )
-    if state["format"] == OLD_FORMAT:
-        if missing := [name for name in OLD_REQUIRED if name not in state]:
-            raise UserError(f"{path} is not a complete checkpoint: {missing[0]} is missing.", DELETE_IT)
-        with damage_explained("content"):
-            state = as_today(state)
     checkpoint = Checkpoint.from_state(state, path)
     _check_name(path, checkpoint.step)
     return checkpoint

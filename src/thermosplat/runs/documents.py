@@ -15,7 +15,6 @@ def read_document(path: Path, what: str, version: int, hint: str) -> dict[str, A
     """The object in a file, which says of itself that it is what is looked for.
 
     Args:
-        path: The file.
         what: What it holds, such as "bookmarks"; its "format" is "thermosplat-bookmarks".
         version: Its "version".
         hint: For all errors.

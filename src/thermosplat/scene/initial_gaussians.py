@@ -7,7 +7,9 @@ shows stays empty (benchmarks/records/real-captures.md).
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from thermosplat.config import ModelConfig, TrainConfig
 from thermosplat.datasets.parallax import point_spacing, seen_first
@@ -22,8 +24,9 @@ if TYPE_CHECKING:
 SHARED = "shared"
 """Name of the set that renders all spectra."""
 CLOSE = 0.01
-"""Median distance of neighbouring points [of an image's width] below which they lie close together. Open choice: arco
-has 0.005 and yard 0.009, which gain by small Gaussians, desk and lab 0.013, which lose."""
+"""Median distance of neighbouring points [of an image's width] below which they lie close together, if it is less than
+a pixel of the images that training begins with, too. Open choice: arco (0.005, 0.9 px) and yard (0.009, 0.9 px) gain by
+small Gaussians; desk (0.013, 1.3 px), desk at half its size (0.013, 0.6 px) and a flight (0.004, 1.1 px) lose."""
 AMONG_MANY = 0.1
 """Share of the distance to its neighbours that a Gaussian is wide where points lie close together. 3DGS-MCMC, which has
 it everywhere. Elsewhere it is the distance, 3DGS's: smaller ones would leave holes, which have no gradients."""
@@ -46,10 +49,7 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", formations: Forma
     check_points(capture.points)
     generator = torch.Generator().manual_seed(config.seed)
     distances = neighbor_distances(capture.points)
-    spacing = None
-    if config.densification.strategy == "mcmc":
-        spacing = point_spacing(seen_first(capture.train), capture.points, distances)
-    sizes = AMONG_MANY * distances if spacing is not None and spacing < CLOSE else distances
+    sizes = AMONG_MANY * distances if _lie_close(config, capture, distances) else distances
     return {
         name: Gaussians.from_points(
             capture.points,
@@ -62,6 +62,16 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", formations: Forma
         )
         for name, rendered in sets_of(config.model, formations).items()
     }
+
+
+def _lie_close(config: TrainConfig, capture: "Capture", distances: NDArray[np.floating]) -> bool:
+    """Whether points are so many that small Gaussians leave no holes between them."""
+    if config.densification.strategy != "mcmc":
+        return False
+    seen = seen_first(capture.train)
+    spacing = point_spacing(seen, capture.points, distances)
+    first_width = np.median([one.width for one in seen]) / max(config.resolution.factors, default=1)
+    return spacing is not None and spacing < CLOSE and bool(spacing * first_width < 1.0)
 
 
 def sets_of(config: ModelConfig, formations: Formations) -> dict[str, list[Formation]]:

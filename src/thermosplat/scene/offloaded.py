@@ -96,7 +96,7 @@ def stored_values(gaussians: nn.Module) -> dict[str, Tensor]:
     return {name: on_cpu(value) if name in on_host else value for name, value in gaussians.state_dict().items()}
 
 
-_PROJECTED_AT_ONCE = 2**22
+PROJECTED_AT_ONCE = 2**22
 """Gaussians whose projections are held while it is found out which are in view: 0.4 GB. Open choice."""
 
 
@@ -112,7 +112,6 @@ class GaussiansInView(Gaussians):
 
     Args:
         gaussians: The set.
-        indices: Which.
         sh_degree: Highest degree of the spherical harmonics in use.
     """
 
@@ -144,8 +143,8 @@ def indices_in_view(gaussians: Gaussians, views: Sequence["ViewTensors"], pixel_
     """Gaussians that the renderer draws for one of the views at least, in some spectrum; int64, ascending, [n]."""
     seen = torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
     opacities = gaussians.largest_opacities
-    for first in range(0, len(gaussians), _PROJECTED_AT_ONCE):
-        part = slice(first, first + _PROJECTED_AT_ONCE)
+    for first in range(0, len(gaussians), PROJECTED_AT_ONCE):
+        part = slice(first, first + PROJECTED_AT_ONCE)
         of_part = gaussians.means[part], gaussians.quats[part], torch.exp(gaussians.log_scales[part]), opacities[part]
         for view in views:
             camera = projection_arguments(view)

@@ -219,7 +219,7 @@ def render_two_opacities(
 
 def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:
     """Scales [N, 3], and the opacities [N] of those logits."""
-    if not _activated_by_one_kernel(gaussians):
+    if not activated_by_one_kernel(gaussians):
         return gaussians.scales, torch.sigmoid(logit_opacities)
     scales, opacities, _ = activated(gaussians.log_scales, logit_opacities)
     return scales, opacities
@@ -227,14 +227,14 @@ def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tupl
 
 def _scales_and_both_opacities(gaussians: Gaussians, second: str) -> tuple[Tensor, Tensor, Tensor]:
     """Scales [N, 3], α [N] and the opacities [N] in a spectrum."""
-    if not _activated_by_one_kernel(gaussians):
+    if not activated_by_one_kernel(gaussians):
         return gaussians.scales, gaussians.opacities, gaussians.opacities_in(second)
     stored = gaussians.log_scales, gaussians.logit_opacities, *gaussians.stored_opacity(second)
     scales, opacities, second_opacities = activated(*stored)
     return scales, opacities, opacities if second_opacities is None else second_opacities
 
 
-def _activated_by_one_kernel(gaussians: Gaussians) -> bool:
+def activated_by_one_kernel(gaussians: Gaussians) -> bool:
     """On CUDA, where each of torch's kernels takes longer to start than to run; on the CPU torch's are vectorised."""
     return gaussians.means.is_cuda
 

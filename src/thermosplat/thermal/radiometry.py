@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermosplat.errors import UserError
 from thermosplat.regular_files import read_regular
-from thermosplat.spectra import CELSIUS, ColorSpace
+from thermosplat.spectra import ColorSpace
 from thermosplat.thermal.level_table import LevelTable
 from thermosplat.thermal.palette_inverse import TABLE_SIZE, Curve, nearest_points
 
@@ -267,8 +267,6 @@ class PixelScale:
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any]) -> "PixelScale":
-        """The scale that `state_dict` described, of this version or of 0.1, which had temperatures only."""
-        span = state["range_celsius"] if "range_celsius" in state else state["range"]
-        unit = state.get("unit", None if span is None else CELSIUS)
-        palette = Palette(np.array(state["palette"], np.float32))
-        return cls(state["kind"], palette, None if span is None else (float(span[0]), float(span[1])), unit)
+        """The scale that `state_dict` described."""
+        span, palette = state["range"], Palette(np.array(state["palette"], np.float32))
+        return cls(state["kind"], palette, None if span is None else (float(span[0]), float(span[1])), state["unit"])

@@ -60,7 +60,6 @@ def to_measured(values: NDArray[Any], unit: str, factor: float = 1.0) -> NDArray
 
     Args:
         values: As the file holds them.
-        unit: Their unit.
         factor: What values of another unit than a temperature's are multiplied by.
     """
     if unit == COUNTS:

@@ -17,7 +17,7 @@ from thermosplat.torch_bridge.host_memory import host_empty, is_in_host_memory
 
 LINE = 8
 """Rows are multiples of so many numbers; rows of two tensors are then multiples of 64 bytes, the host's cache line."""
-_COPIED_AT_ONCE = 2**20
+COPIED_AT_ONCE = 2**20
 """Rows that are brought to or from the CPU's tensors at once: torch copies views by way of the device's memory."""
 
 
@@ -150,8 +150,8 @@ def copy_rows(target: Tensor, source: Tensor) -> None:
         target: [N, ...], anywhere.
         source: Of the same shape, anywhere.
     """
-    for first in range(0, len(source), _COPIED_AT_ONCE):
-        part = slice(first, first + _COPIED_AT_ONCE)
+    for first in range(0, len(source), COPIED_AT_ONCE):
+        part = slice(first, first + COPIED_AT_ONCE)
         target[part].copy_(source[part])
 
 

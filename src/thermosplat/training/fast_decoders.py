@@ -71,8 +71,6 @@ def fast_decoding(
 
     Args:
         formations: The model's.
-        config: The whole configuration.
-        device: Where they are.
     """
     if formations.decoder is None or device.type != "cuda":
         return nullcontext

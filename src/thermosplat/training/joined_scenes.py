@@ -51,7 +51,6 @@ def joined_sets(scenes: Sequence[Scene], config: TrainConfig, formations: Format
     """What kept scenes become, by set.
 
     Args:
-        scenes: The scenes.
         config: The run's configuration.
         formations: Those of its model's spectra.
     """

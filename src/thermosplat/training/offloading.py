@@ -33,7 +33,6 @@ def refused(config: TrainConfig, *, divided: bool = False) -> str | None:
     """Why a training cannot offload, in one sentence; None: it can.
 
     Args:
-        config: The whole configuration.
         divided: Whether several processes train the scene.
     """
     if divided:
@@ -59,7 +58,6 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device, *, div
     """What to offload.
 
     Args:
-        config: The whole configuration.
         model: The model at the start of the training or as it was resumed, anywhere.
         device: The device that trains it.
         divided: Whether several processes train it.
@@ -133,7 +131,6 @@ class SetSize(NamedTuple):
         """Of a model's set, which grows to so many Gaussians.
 
         Args:
-            model: The model.
             name: Of the set.
             most: Gaussians; fewer than there are have no effect.
         """
@@ -178,7 +175,6 @@ def limit_device_memory(device: torch.device, gigabytes: float) -> None:
     """Let this process take no more of a CUDA device's memory than this.
 
     Args:
-        device: The device.
         gigabytes: The limit [GB]. What CUDA itself takes, some hundred megabytes, comes on top.
     """
     total = torch.cuda.get_device_properties(device).total_memory
@@ -189,7 +185,6 @@ def free_device_memory(device: torch.device, gigabytes: float | None) -> float:
     """Memory of a CUDA device that this process may still take [bytes].
 
     Args:
-        device: The device.
         gigabytes: The limit, as of ``limit_device_memory``; None: there is none.
     """
     free, total = torch.cuda.mem_get_info(device)

@@ -158,14 +158,38 @@ def set_betas(optimizers: Optimizers, betas: tuple[float, float]) -> None:
             group["betas"] = betas
 
 
+def gradients_to_watch(optimizers: Mapping[str, Optimizers]) -> dict[str, list[Tensor]]:
+    """The gradients there are, by owner and parameter name; the decoders' all under one name.
+
+    Without those of spherical harmonics above degree 0, which are most of all numbers. They are the colours'
+    gradients times values below 1, and those of degree 0 the same times a constant: finite where these are.
+
+    Args:
+        optimizers: By owner and parameter name.
+    """
+    return {
+        owner if owner == name else f"{owner} {name}": [
+            learnt.grad for learnt in _learnt(optimizer) if learnt.grad is not None and learnt.numel() > 0
+        ]
+        for owner, of_owner in optimizers.items()
+        for name, optimizer in of_owner.items()
+        if name != "shN" and not name.endswith("_shN")
+    }
+
+
+def _learnt(optimizer: torch.optim.Adam) -> list[Tensor]:
+    """What may have gradients that an optimizer applies: its parameters, or rows of an offloaded one."""
+    if isinstance(optimizer, RowAdam):
+        return [] if optimizer.rows is None else [optimizer.rows.values]
+    learnt: list[Tensor] = optimizer.param_groups[0]["params"]
+    return learnt
+
+
 class FiniteGuard:
     """Remembers, on the device, the first step whose losses or gradients were NaN or infinite.
 
     ``blocked`` is handed to the optimizers, which leave everything as it is from that step on, so the last good state
     is still there when somebody looks, however much later.
-
-    Args:
-        device: Where losses and gradients are.
     """
 
     def __init__(self, device: torch.device | str) -> None:

@@ -33,7 +33,6 @@ def out_of_memory_error(
         step: The step that failed.
         num_gaussians: Gaussians in all sets.
         image_size: Size of the images that were rendered.
-        device: The device.
         saved: One sentence about the checkpoint.
         resume_command: The command line that goes on from it.
         can_offload: Whether moving parameters to the host's memory would help.

@@ -74,7 +74,6 @@ class RecordedSteps:
     """Runs steps on a CUDA device, each kind of step once line by line and from then on as a graph.
 
     Args:
-        step: The step.
         num_frames: Training frames; up to ``MEASURED`` first steps run line by line.
 
     Attributes:
@@ -102,7 +101,7 @@ class RecordedSteps:
         if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
             self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()
-        work = Work(tuple(map(_shape, frames)), plan, kind)
+        work = Work(tuple(map(frame_shape, frames)), plan, kind)
         readiness = self._readiness(work)
         if readiness is Readiness.LINE_BY_LINE:
             # also loads kernels, picks algorithms and makes the optimizers' state, none of which can be captured
@@ -179,7 +178,8 @@ class RecordedSteps:
         return Captured(graph, static, values)
 
 
-def _shape(frame: FrameTensors) -> _Shape | None:
+def frame_shape(frame: FrameTensors) -> _Shape | None:
+    """What frames that one recording serves have in common; None: there is nothing to train on."""
     if not frame.views:
         return None
     tensors = tuple((place_in_frame(frame, tensor), tuple(tensor.shape)) for tensor in frame.packable())

@@ -26,7 +26,6 @@ class SensorFacts:
     """The facts of a training's spectra, each measured when it is first asked for.
 
     Args:
-        config: The whole configuration.
         measure: The noise of a spectrum's training images; None where it has none.
         noisy: The spectra whose images counted as noisy when the run began. None: the run begins.
         widths: How many times as wide as what most of a spectrum's values span its range is, at least 1.
@@ -58,7 +57,6 @@ class SensorFacts:
         """The configuration with the weights and point spreads that the sensors allow.
 
         Args:
-            config: The whole configuration.
             blur_is_known: Leave point spreads alone: noise has decided of them already.
 
         Returns:

@@ -55,7 +55,6 @@ class StepKind:
         """What a configuration says of a step, before the stages of a training have their say.
 
         Args:
-            config: The whole configuration.
             step: The step, from 1.
         """
         return cls(

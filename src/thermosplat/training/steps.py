@@ -28,7 +28,6 @@ class Steps:
     """Runs steps line by line, or records them and replays what was recorded.
 
     Args:
-        step: The step.
         frames: The training frames.
         schedule: Which of them each step takes.
         recorded: Record steps (recorded_steps.py), which CUDA can.

@@ -101,7 +101,6 @@ class Trainer:
         Args:
             config: The run's configuration; rates, schedule and device may differ from the first time, the model not.
             capture: The same capture as the first time.
-            run: The run.
             logger: What tells the user; None for the default one.
             team: The ranks; None: this process alone.
 
@@ -198,7 +197,7 @@ class Trainer:
         kind, rates = StepKind.at(config, step), config.optimizer
         for stage in self.stages:
             kind, rates = stage.before(step, kind), stage.rates(rates)
-        state.begin_step(step, rates, self.capture.scene_extent)
+        state.begin_step(step, rates)
 
         with self._first_step(), self.steps.run(kind) as values:
             if self.looks_at_guard(step):
@@ -259,7 +258,7 @@ class Trainer:
     def _save_and_evaluate(self) -> None:
         """Do with the step done what the configuration says, unless its scene is no result of the run."""
         step, config = self.step, self.config
-        if self.state.is_preliminary:
+        if self.state.preliminaries.under_way:
             return
         with self.keeping.saving_meanwhile() if step in config.save_steps else nullcontext():
             if step in config.eval_steps:

@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
 import torch
-from torch import Tensor
 
 from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
@@ -20,13 +19,14 @@ from thermosplat.scene.offloaded import OffloadedParameter
 from thermosplat.scene.saved_gaussians import restored_sets
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.training.budget.noise_watch import NoiseWatch
+from thermosplat.training.budget.progress import BudgetProgress
 from thermosplat.training.density.gaussian_ops import Optimizers, parameter_like, replace_parameters
 from thermosplat.training.density.strategies import STRATEGIES
 from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.exposures import Exposures
 from thermosplat.training.frames.random_streams import start_stream
 from thermosplat.training.frames.train_frames import set_span
-from thermosplat.training.joined_scenes import Scene, seed_of_scene
+from thermosplat.training.joined_scenes import Scene
 from thermosplat.training.optimizers import (
     gaussian_optimizers,
     load_optimizer,
@@ -34,10 +34,7 @@ from thermosplat.training.optimizers import (
     parameter_optimizers,
     set_learning_rates,
 )
-
-_OF_SCENES = ("camera_passes", "scenes_left")
-_OF_BUDGETS = ("growing", "offsets_dropped", "budget_due", "trimmed", "best_validation")
-"""What checkpoints hold as it is."""
+from thermosplat.training.preliminaries import Preliminaries
 
 
 @dataclass
@@ -68,23 +65,14 @@ class TrainingState:
         strategies: Density control by name of the set.
         step: Steps done.
         step_on_device: int64 scalar, the number of the step that is being done.
-        camera_passes: Passes that are to find the cameras of the other spectra, with the one under way. After each of
-            them the scene starts anew; 0: it is trained with these cameras.
-        scenes_left: Scenes that are to be trained before all become one, with the one under way; 0: there is one.
-        kept_scenes: Those that are trained, in the host's memory. Of ranks that share the model only the first has
-            them; the others hold empty ones in their place.
-        growing: Whether density control may still add Gaussians; with ``--budget auto`` that ends some day.
-        offsets_dropped: Whether opacity offsets that are zero stay zero.
-        budget_due: What a budget is to leave out after the step done and has not left out yet: memory ended before.
-        trimmed: Whether what the training images do not miss was dropped after the last step (``AutoBudget.finish``).
-        best_validation: Best PSNR of withheld training views so far [dB], and its step.
+        preliminaries: Which scene of the training it is.
+        budget: How far a budget has come with it.
         noise_watch: How far noisy images are fitted and may be; None where no spectrum has a noise floor.
         noise: Draws what is random within a step, on the device; starts afresh in every step.
         seconds: Where the time went.
 
     Args:
         model: The scene, on its device.
-        config: The whole configuration.
         capture: What it is trained on; the exposures and cameras of the training frames are part of the state.
         device: The model's device.
     """
@@ -98,8 +86,7 @@ class TrainingState:
         if any(True for _ in model.formations.parameters()):
             self.optimizers["decoders"] = {"decoders": network_optimizer(model.formations)}
         self.exposures: Exposures | None = None
-        exposed = [spectrum for name, spectrum in model.spectra.items() if config.spectra[name].exposure != "fixed"]
-        if exposed:
+        if exposed := [one for name, one in model.spectra.items() if config.spectra[name].exposure != "fixed"]:
             levels = [name for name, spectrum in config.modelled.items() if spectrum.exposure == "level"]
             self.exposures = Exposures(len(capture.training_frames(model.spectra)), exposed, levels).to(device)
         self.corrections: CameraCorrections | None = None
@@ -120,30 +107,22 @@ class TrainingState:
             for name, gaussians in self.gaussian_sets.items()
         }
         self.step = 0
-        finds_cameras = self.corrections is not None and bool(self.corrections.registered)
-        self.camera_passes = len(PASSES) if finds_cameras and config.refine_first > 0 else 0
-        self.scenes_left = config.scenes if config.scenes > 1 else 0
-        self.kept_scenes: list[Scene] = []
+        finds_cameras = self.corrections is not None and bool(self.corrections.registered) and config.refine_first > 0
+        self.preliminaries = Preliminaries(
+            config.seed,
+            camera_passes=len(PASSES) if finds_cameras else 0,
+            scenes_left=config.scenes if config.scenes > 1 else 0,
+        )
+        self.budget = BudgetProgress()
         self.noise_watch: NoiseWatch | None = None
-        self.num_frames = len(capture.training_frames(model.spectra))
-        self._forget_budget()
+        self._num_frames = len(capture.training_frames(model.spectra))
         self.step_on_device = torch.zeros((), dtype=torch.int64, device=device)
         self.scene_extent = capture.scene_extent
-        self._seed = config.seed
         self._batch_rate = math.sqrt(config.batch_size or 1)  # of the others, run_schedule has multiplied the rates
         self.noise = torch.Generator(device)
         self.seconds = Seconds()
         self.counts: dict[str, list[int]] | None = None
         """Gaussians of each rank by set, where they are divided over ranks: this state then holds one rank's."""
-
-    def _forget_budget(self) -> None:
-        self.growing = True
-        self.offsets_dropped = False
-        self.budget_due: tuple[str, ...] = ()
-        self.trimmed = False
-        self.best_validation = (-math.inf, 0)
-        if self.noise_watch is not None:
-            self.noise_watch.forget()
 
     @contextmanager
     def showing(self, whole: SceneModel) -> Iterator[None]:
@@ -194,30 +173,15 @@ class TrainingState:
                 optimizer.state.clear()
         if self.corrections is not None:
             self.corrections.velocity.zero_()
-        self.step, self.camera_passes = 0, max(self.camera_passes - 1, 0)
-        self.scenes_left -= len(kept) - len(self.kept_scenes)
-        self.kept_scenes = list(kept)
-        self._forget_budget()
+        self.step, self.budget = 0, BudgetProgress()
+        self.preliminaries.go_on(kept)
+        if self.noise_watch is not None:
+            self.noise_watch.forget()
 
     @property
     def taught(self) -> tuple[str, ...]:
         """The spectra that are trained on what a teacher shows."""
         return () if self.noise_watch is None else tuple(self.noise_watch.teachers)
-
-    @property
-    def finds_cameras(self) -> bool:
-        """Whether the scene is to start anew, with the cameras that are found on it."""
-        return self.camera_passes > 0
-
-    @property
-    def is_preliminary(self) -> bool:
-        """Whether the scene is to start anew, for whatever reason: it is no result of the run."""
-        return self.finds_cameras or self.scenes_left > 1
-
-    @property
-    def seed(self) -> int:
-        """What the random numbers of the scene under way come from."""
-        return seed_of_scene(self._seed, len(self.kept_scenes))
 
     @property
     def separates_spectra(self) -> bool:
@@ -233,21 +197,20 @@ class TrainingState:
         """Gaussians of all sets and ranks."""
         return sum(map(self.num_gaussians, self.gaussian_sets))
 
-    def begin_step(self, step: int, config: OptimizerConfig, scene_extent: float) -> None:
+    def begin_step(self, step: int, config: OptimizerConfig) -> None:
         """Tell the device the step's number and learning rates, and forget what an interrupted step left.
 
         Args:
             step: The step to come, from 1.
             config: The rates.
-            scene_extent: Radius of the cameras [world units].
         """
         self.clear_gradients()
-        self.trimmed = False
+        self.budget.trimmed = False
         self.step_on_device.fill_(step)
         if any(strategy.moves_gaussians for strategy in self.strategies.values()):
-            start_stream(self.noise, self.seed, "position noise", step)
+            start_stream(self.noise, self.preliminaries.seed, "position noise", step)
         for owner, optimizers in self.optimizers.items():
-            scale = scene_extent
+            scale = self.scene_extent
             if owner == "corrections" and self.corrections is not None:
                 scale = self._batch_rate * self.corrections.image_width
             set_learning_rates(optimizers, config, self.spans[owner].progress(step - 1), scale)
@@ -263,34 +226,9 @@ class TrainingState:
                 for parameter in optimizer.param_groups[0]["params"]:
                     parameter.grad = None  # Optimizer.zero_grad takes ten times as long
 
-    def keep_moments_on_device(self, rows: Mapping[str, int]) -> None:
-        """Keep moments of the first Gaussians of sets on the device, where sets are offloaded.
-
-        Args:
-            rows: How many, by name of the set.
-        """
-        for name, number in rows.items():
-            for optimizer in self.row_optimizers(name):
-                optimizer.rows_on_device = number
-
     def row_optimizers(self, name: str) -> list[RowAdam]:
         """Optimizers of what is offloaded of a set."""
         return [optimizer for optimizer in self.optimizers[name].values() if isinstance(optimizer, RowAdam)]
-
-    def gradients_to_watch(self) -> dict[str, list[Tensor]]:
-        """The gradients there are, by set and parameter name; the decoders' all under one name.
-
-        Without those of spherical harmonics above degree 0, which are most of all numbers. They are the colours'
-        gradients times values below 1, and those of degree 0 the same times a constant: finite where these are.
-        """
-        return {
-            owner if owner == name else f"{owner} {name}": [
-                learnt.grad for learnt in _learnt(optimizer) if learnt.grad is not None and learnt.numel() > 0
-            ]
-            for owner, optimizers in self.optimizers.items()
-            for name, optimizer in optimizers.items()
-            if name != "shN" and not name.endswith("_shN")
-        }
 
     def checkpoint(
         self, config: TrainConfig, sh_degree: int, scales: Mapping[str, PixelScale], capture: Capture | None = None
@@ -298,24 +236,22 @@ class TrainingState:
         """The state to go on from; of a trimmed model without Adam's moments, twice its size.
 
         Args:
-            config: The whole configuration.
-            sh_degree: Degree of the spherical harmonics in use.
             scales: What pixel values mean, by spectrum.
             capture: What is trained on, for the frames' names; None: nobody goes on from it with another capture.
         """
+        trimmed, watch = self.budget.trimmed, self.noise_watch
+        moments = {
+            owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
+            for owner, optimizers in self.optimizers.items()
+        }
         training = SavedTraining(
-            optimizers=None
-            if self.trimmed
-            else {
-                owner: {name: optimizer.state_dict() for name, optimizer in optimizers.items()}
-                for owner, optimizers in self.optimizers.items()
-            },
+            optimizers=None if trimmed else moments,
             strategies={name: strategy.state_dict() for name, strategy in self.strategies.items()},
             exposures=self.exposures.state_dict() if self.exposures is not None else None,
             corrections=self.corrections.state_dict() if self.corrections is not None else None,
-            kept_scenes=tuple({name: dict(packed) for name, packed in scene.items()} for scene in self.kept_scenes),
-            **{name: getattr(self, name) for name in (*_OF_SCENES, *_OF_BUDGETS)},
-            noise_watch=None if self.noise_watch is None else self.noise_watch.state_dict(teachers=not self.trimmed),
+            **self.preliminaries.state_dict(),
+            **self.budget.state_dict(),
+            noise_watch=None if watch is None else watch.state_dict(teachers=not trimmed),
             seconds=asdict(self.seconds),
         )
         return Checkpoint(
@@ -336,10 +272,10 @@ class TrainingState:
             UserError: It is incomplete, or does not fit the model.
         """
         with damage_explained("training state"):
-            self._load(checkpoint.training, checkpoint)
+            self._load(checkpoint, checkpoint.training)
         self.step = checkpoint.step
 
-    def _load(self, training: SavedTraining, checkpoint: Checkpoint) -> None:
+    def _load(self, checkpoint: Checkpoint, training: SavedTraining) -> None:
         if training.missing:
             raise KeyError(training.missing[0])
         if training.optimizers is not None:
@@ -348,36 +284,13 @@ class TrainingState:
                     load_optimizer(optimizer, training.optimizers[owner][name])
         for name, strategy in self.strategies.items():
             strategy.load_state_dict((training.strategies or {})[name])
-        if self.exposures is not None:
-            self.exposures.load_state_dict(training.exposures or {})
-        if self.corrections is not None:
-            self.corrections.load_state_dict(training.corrections or {})
-        for name in _OF_SCENES:
-            setattr(self, name, getattr(training, name))
-        self.kept_scenes = list(training.kept_scenes)
-        for scene in filter(None, self.kept_scenes):
+        for module, saved in ((self.exposures, training.exposures), (self.corrections, training.corrections)):
+            if module is not None:
+                module.load_state_dict(saved or {})
+        self.preliminaries.load_state_dict(training)
+        for scene in filter(None, training.kept_scenes):
             restored_sets(scene, checkpoint.config, self.model.formations)  # whether it can be
-        self.load_budget(training)
+        self.budget = BudgetProgress.of_checkpoint(training)
         if training.noise_watch is not None:
-            device = self.step_on_device.device
-            self.noise_watch = NoiseWatch(training.noise_watch["noise"], self.num_frames, device)
-            self.noise_watch.load_state_dict(training.noise_watch)
-            self.noise_watch.load_teachers(training.noise_watch, checkpoint)
+            self.noise_watch = NoiseWatch.of_checkpoint(checkpoint, self._num_frames, self.step_on_device.device)
         self.seconds = Seconds(**training.seconds or {})
-
-    def load_budget(self, training: SavedTraining) -> None:
-        """How far a budget has come.
-
-        Args:
-            training: What a checkpoint holds of a training.
-        """
-        for name in _OF_BUDGETS:
-            setattr(self, name, getattr(training, name))
-
-
-def _learnt(optimizer: torch.optim.Adam) -> list[Tensor]:
-    """What may have gradients that an optimizer applies: its parameters, or rows of an offloaded one."""
-    if isinstance(optimizer, RowAdam):
-        return [] if optimizer.rows is None else [optimizer.rows.values]
-    learnt: list[Tensor] = optimizer.param_groups[0]["params"]
-    return learnt

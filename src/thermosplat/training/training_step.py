@@ -26,7 +26,7 @@ from thermosplat.scene.rendered_frame import RenderedFrame
 from thermosplat.training.budget.noise_floor import gradient_shares
 from thermosplat.training.budget.offset_shrinkage import hold_zeros, shrink_offsets
 from thermosplat.training.budget.tolerances import TOLERANCES, Tolerances
-from thermosplat.training.optimizers import FiniteGuard, step_unless
+from thermosplat.training.optimizers import FiniteGuard, gradients_to_watch, step_unless
 from thermosplat.training.rows_in_view import hand_rows_over, observed_in_order
 from thermosplat.training.sharing.calls import Calls, TakingPart, calls_of, infos_of_frame, render_with_others
 from thermosplat.training.sharing.replicated import add_up_replicated, tell_errors
@@ -74,7 +74,6 @@ class TrainingStep:
     """The step of one run.
 
     Args:
-        config: The whole configuration.
         state: Model, optimizers and density control.
         guard: Watches losses and gradients.
         capacity: Counts the renderer's pairs.
@@ -142,7 +141,7 @@ class TrainingStep:
         if not team.is_alone:
             add_up_replicated(team, state)
             tell_errors(team, state, indices)
-        self.guard.observe(state.step_on_device, losses, state.gradients_to_watch())
+        self.guard.observe(state.step_on_device, losses, gradients_to_watch(state.optimizers))
         if overflows:
             self.capacity.overflow.copy_(torch.stack(overflows).amax())
         team.largest_in_place([self.guard.blocked, self.capacity.overflow])
@@ -281,7 +280,7 @@ class TrainingStep:
         """
         config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
-        if state.offsets_dropped or kind.geometry_held:
+        if state.budget.offsets_dropped or kind.geometry_held:
             for gaussians in state.gaussian_sets.values():
                 hold_zeros(gaussians)
         step_unless(blocked, state.optimizers)
@@ -292,7 +291,7 @@ class TrainingStep:
             moves = strategy.moves_gaussians and not kind.geometry_held
             if moves and state.gaussian_sets[name].means.grad is not None:
                 strategy.move(state.gaussian_sets[name], state.optimizers[name], blocked, state.noise)
-        if config.budget == "auto" and not state.offsets_dropped:
+        if config.budget == "auto" and not state.budget.offsets_dropped:
             for name, gaussians in state.gaussian_sets.items():
                 shrink_offsets(gaussians, state.optimizers[name], self.tolerances.offset_shrinkage, blocked)
         state.clear_gradients()

@@ -148,7 +148,7 @@ class CamerasPanel:
 
     def _save_video(self) -> None:
         path = path_through(self.visitor.shared.bookmarks, self.count.value)
-        self.visitor.begin_long(partial(self._write_video, path, self._size(), self.visitor.session.aside()))
+        self.visitor.errands.begin_long(partial(self._write_video, path, self._size(), self.visitor.session.aside()))
 
     def _write_video(self, path: list[Bookmark], size: tuple[int, int], session: ViewSession) -> None:
         shared = self.visitor.shared

@@ -24,11 +24,14 @@ class Errands:
     Args:
         name: Of the thread.
         tell: Says a title and a sentence on the page.
+
+    Attributes:
+        waiting: What is asked for and not begun.
     """
 
     def __init__(self, name: str, tell: Callable[[str, str], None]) -> None:
         self._tell = tell
-        self._waiting: deque[Errand] = deque()
+        self.waiting: deque[Errand] = deque()
         self._news = threading.Condition()
         self._ended = False
         self._long = threading.Lock()
@@ -42,8 +45,8 @@ class Errands:
     def add(self, errand: Errand) -> None:
         """Do something after what is asked for already; returns at once."""
         with self._news:
-            if not self._ended and len(self._waiting) < MOST_WAITING:
-                self._waiting.append(errand)
+            if not self._ended and len(self.waiting) < MOST_WAITING:
+                self.waiting.append(errand)
                 self._news.notify_all()
 
     def begin_long(self, errand: Errand) -> None:
@@ -70,7 +73,7 @@ class Errands:
         """Do nothing more."""
         with self._news:
             self._ended = True
-            self._waiting.clear()
+            self.waiting.clear()
             self._news.notify_all()
 
     @property
@@ -81,10 +84,10 @@ class Errands:
     def _work(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._ended or self._waiting)
+                self._news.wait_for(lambda: self._ended or self.waiting)
                 if self._ended:
                     return
-                errand = self._waiting.popleft()
+                errand = self.waiting.popleft()
             self._do(errand)
             del errand  # its controls hold the tab
 

@@ -18,11 +18,12 @@ from thermosplat.viewer.door import DEFAULT_PORT, Door, address, open_server
 from thermosplat.viewer.layers import LayerRenderer, available_layers
 from thermosplat.viewer.notices import NOTICES
 from thermosplat.viewer.orbit import orbit
-from thermosplat.viewer.session import ViewSession, start_wish
+from thermosplat.viewer.session import ViewSession
 from thermosplat.viewer.training_watch import TrainingWatch
 from thermosplat.viewer.turns import OneAtATime, Turns
 from thermosplat.viewer.viewed_scene import ViewedScene
 from thermosplat.viewer.visitor import Visitor
+from thermosplat.viewer.wish import start_wish
 
 if TYPE_CHECKING:
     import viser

@@ -135,7 +135,6 @@ class LayerRenderer:
         """Render layers from one view.
 
         Args:
-            layers: Which ones.
             view: Camera and pose, on the model's device.
             values: Also the values behind pseudo-colours, which takes a while; without, such a layer has its colours.
             temperatures: How temperatures are recalculated; None: they are not.
@@ -303,7 +302,6 @@ def image_layer(
     """An image of a spectrum: colours of a photograph, else values, in the unit that metrics.json's errors have.
 
     Args:
-        layer: Which layer it is.
         image: Shape [H, W, C].
         scale: What its pixel values mean.
         values: As of ``LayerRenderer.render``.

@@ -13,7 +13,7 @@ from thermosplat.thermography.shapes import MOST_POINTS, Shape
 from thermosplat.viewer.measurements import Pixel
 from thermosplat.viewer.region_panel import RegionPanel
 from thermosplat.viewer.selection_panel import SelectionPanel
-from thermosplat.viewer.session import Shown
+from thermosplat.viewer.wish import Shown
 
 if TYPE_CHECKING:
     from thermosplat.viewer.visitor import Visitor
@@ -81,7 +81,7 @@ class MeasurePanel:
 
     def _told(self) -> None:
         """Something was measured, renamed or deleted, in this tab or another one."""
-        self.visitor.soon(self._list)
+        self.visitor.errands.add(self._list)
 
     def _take(self) -> None:
         """Let clicks, or rectangles that are drawn, be measurements of a shape."""

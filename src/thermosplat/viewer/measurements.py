@@ -41,7 +41,6 @@ def value_at(image: LayerImage, x: float, y: float) -> float | None:
     """The value under a point of a picture.
 
     Args:
-        image: The layer.
         x: Share of the width, 0 to 1.
         y: Share of the height, 0 to 1.
 

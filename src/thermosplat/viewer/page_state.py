@@ -5,7 +5,8 @@ import html
 from thermosplat.pictures.color_bar import tick_labels, tick_values
 from thermosplat.pictures.image_display import rgb_bytes
 from thermosplat.thermal.radiometry import Palette
-from thermosplat.viewer.session import Shown, ViewSession
+from thermosplat.viewer.session import ViewSession
+from thermosplat.viewer.wish import Shown
 
 
 def state_html(key: str, version: int, session: ViewSession, shown: Shown | None) -> str:

@@ -63,7 +63,6 @@ class Photographs:
         """The nearest photograph as it looks from a view.
 
         Args:
-            spectrum: Its spectrum.
             view: Camera and pose, without distortion.
 
         Raises:

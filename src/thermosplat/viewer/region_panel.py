@@ -27,7 +27,7 @@ class RegionPanel:
             self.threshold = gui.add_number("Threshold", 30.0, step=0.1)
             self.find = gui.add_button("Find them in the whole scene")
             self.choice = gui.add_dropdown("Fly to region", (_NONE,))
-        self.find.on_click(visitor.heard(lambda: visitor.begin_long(self._find)))
+        self.find.on_click(visitor.heard(lambda: visitor.errands.begin_long(self._find)))
         self.choice.on_update(visitor.heard(self._fly))
 
     def _find(self) -> None:

@@ -1,7 +1,7 @@
 """One viewer's eyes: what it looks at, the picture it sees, what it measures there. It knows nothing of browsers."""
 
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,56 +18,12 @@ from thermosplat.thermography.measurement_book import MeasurementBook
 from thermosplat.thermography.measurements import Definition, Measurement, Standpoint, measure, with_unit
 from thermosplat.thermography.scene_temperatures import SceneTemperatures
 from thermosplat.thermography.shapes import Shape
-from thermosplat.viewer.display import Comparison, Display, compared
+from thermosplat.viewer.display import Display, compared
 from thermosplat.viewer.layers import Layer, LayerImage, LayerRenderer
 from thermosplat.viewer.measurements import Mark, Pixel, marked_picture, value_at
 from thermosplat.viewer.measuring import Measurer, seen_layer
 from thermosplat.viewer.turns import Turns, ViewingEnded
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What is to be seen; the place to see it from is given apart."""
-
-    first: Layer
-    """The layer that is looked at and measured."""
-    second: Layer
-    """The one that it is compared with."""
-    comparison: Comparison = "off"
-    """How."""
-    share: float = 0.5
-    """Of the width that the first layer has in a wipe; of the second layer in a blend."""
-    over: bool = False
-    """The nearest photograph lies over the picture."""
-
-    @property
-    def layers(self) -> list[Layer]:
-        """The layers that have to be rendered."""
-        shown = [self.first] if self.comparison == "off" else [self.first, self.second]
-        return [*shown, Layer("photograph", self.first.spectrum)] if self.over else shown
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """A picture that was made, with the values behind it."""
-
-    wish: Wish
-    """What it shows."""
-    view: Bookmark
-    """From where."""
-    layers: dict[Layer, LayerImage]
-    """What was rendered for it."""
-    picture: Image8
-    """8-bit RGB, shape [H, W, 3]."""
-    full: bool
-    """Whether it is the picture at rest, whose values may be read."""
-
-    def layer_at(self, x: float) -> LayerImage | None:
-        """What is seen at a share of the width."""
-        wish = self.wish
-        if wish.over:
-            return self.layers.get(Layer("photograph", wish.first.spectrum))
-        return self.layers.get(wish.second if wish.comparison == "wipe" and x > wish.share else wish.first)
+from thermosplat.viewer.wish import Shown, Wish
 
 
 class Unwanted(Exception):
@@ -118,7 +74,6 @@ class ViewSession:
         """Change how a layer is shown.
 
         Args:
-            layer: The layer.
             **changes: Fields of ``Display``.
         """
         self.displays[_key(layer)] = replace(self.display(layer), **changes)
@@ -281,7 +236,6 @@ class ViewSession:
         """Give a measurement another alarm or settings of its own, and measure it with them.
 
         Args:
-            name: Which.
             **changes: Fields of ``Definition``.
 
         Raises:
@@ -351,24 +305,6 @@ def recalculated_text(image: LayerImage, x: float, y: float) -> str:
     if image.layer.kind == "doubt":
         return "" if done else " (not to be read)"
     return " (recalculated)" if done else " (not recalculated)"
-
-
-def start_wish(layers: Sequence[Layer], measured: Collection[str] = ()) -> Wish:
-    """What is seen first: an image with temperatures, ready to be compared with another spectrum's.
-
-    Args:
-        layers: Those that there are (``available_layers``).
-        measured: Spectra that have temperatures; without any the first spectrum's image is seen.
-    """
-    images = [layer for layer in layers if layer.kind == "image"] or list(layers[:1])
-    first = next((layer for layer in images if layer.spectrum in measured), images[0])
-    before = [layer for layer in layers if layer == Layer("before", first.spectrum)]
-    return Wish(first, next((layer for layer in (*before, *images) if layer != first), first))
-
-
-def layer_labels(layers: Sequence[Layer]) -> dict[str, Layer]:
-    """Layers by their names on the page."""
-    return {layer.label: layer for layer in layers}
 
 
 def _key(layer: Layer) -> tuple[str, str]:

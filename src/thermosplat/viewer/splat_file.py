@@ -47,10 +47,6 @@ _HINT = "Expected a binary PLY of 3D Gaussians (x, f_dc_0, opacity, scale_0, rot
 def open_splats(path: Path, device: torch.device) -> tuple[ViewedScene, list[str]]:
     """The scene of a PLY file.
 
-    Args:
-        path: The file.
-        device: Where to put it.
-
     Returns:
         The scene; lines to tell the user.
 

@@ -78,12 +78,15 @@ class BetweenSteps:
     Args:
         share: Of the time, for all turns together; 1 where nothing waits for them.
         clock: What tells the time [s].
+
+    Attributes:
+        waiting: What is asked for and not begun, and what will hold its result.
     """
 
     def __init__(self, share: float = TRAINING_SHARE, clock: Callable[[], float] = time.perf_counter) -> None:
         self.share = share
         self._clock = clock
-        self._waiting: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
+        self.waiting: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
         self._arrived = threading.Condition()
         self._ended = False
         self._next = 0.0
@@ -96,13 +99,13 @@ class BetweenSteps:
         with self._arrived:
             if self._ended:
                 raise ViewingEnded
-            self._waiting.append((work, done))
+            self.waiting.append((work, done))
             self._arrived.notify_all()
         return done.result()
 
     def take(self) -> None:
         """Between two steps: do one waiting piece of work, if the share allows it now."""
-        if self._waiting and self._clock() >= self._next:
+        if self.waiting and self._clock() >= self._next:
             self._take_one()
 
     def take_until(self, until: Callable[[], bool]) -> None:
@@ -113,7 +116,7 @@ class BetweenSteps:
         """
         while not until():
             with self._arrived:
-                self._arrived.wait_for(lambda: bool(self._waiting), timeout=0.1)
+                self._arrived.wait_for(lambda: bool(self.waiting), timeout=0.1)
             self._take_one()
 
     def wake(self) -> None:
@@ -125,13 +128,13 @@ class BetweenSteps:
         """No more turns: who waits for one is told so."""
         with self._arrived:
             self._ended = True
-            left, self._waiting = self._waiting, deque()
+            left, self.waiting = self.waiting, deque()
         for _, done in left:
             done.set_exception(ViewingEnded())
 
     def _take_one(self) -> None:
         try:
-            work, done = self._waiting.popleft()
+            work, done = self.waiting.popleft()
         except IndexError:
             return
         started = self._clock()

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 from thermosplat.pictures.display_palettes import DISPLAY_PALETTES
 from thermosplat.viewer.display import OWN_PALETTE, picture_range
 from thermosplat.viewer.layers import Layer, available_layers
-from thermosplat.viewer.session import layer_labels
 from thermosplat.viewer.temperature_panel import TemperaturePanel
+from thermosplat.viewer.wish import layer_labels
 
 if TYPE_CHECKING:
     from thermosplat.viewer.visitor import Visitor

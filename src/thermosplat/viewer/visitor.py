@@ -30,11 +30,12 @@ from thermosplat.viewer.orbit import orbit, rotation
 from thermosplat.viewer.pace import Pace
 from thermosplat.viewer.page_state import state_html
 from thermosplat.viewer.picture_sizes import fitting
-from thermosplat.viewer.session import Shown, Unwanted, ViewSession
+from thermosplat.viewer.session import Unwanted, ViewSession
 from thermosplat.viewer.training_panel import TrainingPanel
 from thermosplat.viewer.turns import ViewingEnded
 from thermosplat.viewer.view_panel import ViewPanel
 from thermosplat.viewer.viewed_scene import ViewedScene
+from thermosplat.viewer.wish import Shown
 
 if TYPE_CHECKING:
     import viser
@@ -59,7 +60,6 @@ class Visitor:
     """A tab and what it sees.
 
     Args:
-        client: viser's handle of it.
         session: What it looks at.
         shared: What it shares with the others.
     """
@@ -78,14 +78,14 @@ class Visitor:
         self._news = threading.Condition()
         self._wanted = True
         self._moved = 0.0
-        self._errands = Errands(f"viewer {client.client_id}, controls", self.tell)
+        self.errands = Errands(f"viewer {client.client_id}, controls", self.tell)
         self._thread = threading.Thread(target=self._make_pictures, name=f"viewer {client.client_id}", daemon=True)
         self._state: Any = None
         self._panels: list[Any] = []
 
     def begin(self) -> None:
         """Build the controls, and begin to send pictures."""
-        self._errands.begin()
+        self.errands.begin()
         gui = self.client.gui
         self._state = gui.add_html(self._state_html(None))
         tabs = gui.add_tab_group()
@@ -106,14 +106,14 @@ class Visitor:
         self.session.gone.set()
         for panel in self._panels_of(MeasurePanel):
             panel.leave()
-        self._errands.end()
+        self.errands.end()
         self.wake()
         self.client.camera._state.camera_cb.clear()  # viser keeps the handle for a while
 
     def join(self, seconds: float) -> bool:
         """Wait until nothing is done any more for a tab that was closed; whether that is so after so many seconds."""
         until = time.monotonic() + seconds
-        threads = [thread for thread in (self._thread, *self._errands.threads) if thread.is_alive()]
+        threads = [thread for thread in (self._thread, *self.errands.threads) if thread.is_alive()]
         for thread in threads:
             thread.join(max(0.0, until - time.monotonic()))
         return not any(thread.is_alive() for thread in threads)
@@ -129,7 +129,7 @@ class Visitor:
 
         async def hear(event: Any) -> None:
             if event.client is not None:  # not the viewer itself, which shows a value
-                self._errands.add(work)
+                self.errands.add(work)
 
         return hear
 
@@ -138,7 +138,7 @@ class Visitor:
 
         async def hear(event: Any) -> None:
             if event.client is not None:
-                self._errands.add(partial(work, self.view()))
+                self.errands.add(partial(work, self.view()))
 
         return hear
 
@@ -146,13 +146,9 @@ class Visitor:
         """What viser calls when somebody points at the picture: as ``heard``, with the picture that was pointed at."""
 
         async def hear(event: Any) -> None:
-            self._errands.add(partial(work, event, self.session.shown))
+            self.errands.add(partial(work, event, self.session.shown))
 
         return hear
-
-    def begin_long(self, work: Errand) -> None:
-        """Make something that takes long; one thing at a time."""
-        self._errands.begin_long(work)
 
     # ---- what is seen ------------------------------------------------------------------------------------------------
 
@@ -193,10 +189,6 @@ class Visitor:
         self.wake()
         if self.session.measurements:
             self.session.renumber()
-
-    def soon(self, work: Errand) -> None:
-        """Do something after what is asked for already, in the thread of the controls."""
-        self._errands.add(work)
 
     def set_share(self, share: float) -> None:
         """Move the edge of the wipe, or change the blend."""
@@ -266,7 +258,7 @@ class Visitor:
                 write_png(target.with_suffix(".png"), marked)
                 self.tell("Saved", str(target.with_suffix(".png")))
 
-        self._errands.begin_long(save)
+        self.errands.begin_long(save)
 
     def tell(self, title: str, body: str = "") -> None:
         """A message on the page."""

@@ -79,7 +79,7 @@ def test_whole_files_are_looked_at_once(tmp_path, monkeypatch):
     """A file is looked at again when it has changed."""
     paths = written(tmp_path, a=jpeg(0), b=jpeg(1))
     check_jpegs(paths)
-    monkeypatch.setattr(jpeg_warnings, "_DECODER", tmp_path / "none.py")
+    monkeypatch.setattr(jpeg_warnings, "DECODER", tmp_path / "none.py")
     check_jpegs(paths)
     monkeypatch.undo()
     paths[1].write_bytes(zeroed(jpeg(1), 4000) + b"\xff\xd9")
@@ -99,7 +99,7 @@ def test_a_decoder_that_ends_early_is_told(tmp_path, monkeypatch):
     """Files that were not looked at are not taken for whole ones."""
     paths = written(tmp_path, a=jpeg(0), b=jpeg(1))
     (tmp_path / "decoder.py").write_text("import os; os.write(2, bytes(2)); os._exit(7)")
-    monkeypatch.setattr(jpeg_warnings, "_DECODER", tmp_path / "decoder.py")
+    monkeypatch.setattr(jpeg_warnings, "DECODER", tmp_path / "decoder.py")
     with pytest.raises(UserError, match=r"b\.jpg ended the process .* \(exit code 7\)"):
         check_jpegs(paths)
 

@@ -44,20 +44,20 @@ def test_a_step_improves_the_splats(device: torch.device) -> None:
 def test_warps_adam_improves_the_splats_as_torchs_does(device: torch.device) -> None:
     """On CUDA the fit has its own Adam: what it ends at is what torch's ends at on the CPU."""
     (fit, views), (reference, on_cpu) = started("rgb", "color", device), started("rgb", "color", torch.device("cpu"))
-    fit._captures = False
+    fit.captures = False
     if device.type == "cpu":
         learning = fit.learning
         groups = [
             {"params": group["params"], "lr": rate}
-            for group, rate in zip(learning.adam.param_groups, learning._rates.unbind(), strict=True)
+            for group, rate in zip(learning.adam.param_groups, learning.rates.unbind(), strict=True)
         ]
         learning.adam = WarpAdam(groups, betas=BETAS, eps=1e-15)
     for step in range(40):
         fit.run(views[step % len(views)], 1.0)
         reference.run(on_cpu[step % len(views)], 1.0)
     assert psnr_of(fit, views) == pytest.approx(psnr_of(reference, on_cpu), abs=0.2)
-    for name, values in reference.learning._learnt.items():
-        torch.testing.assert_close(fit.learning._learnt[name].cpu(), values, rtol=0.05, atol=0.02, msg=name)
+    for name, values in reference.learning.learnt.items():
+        torch.testing.assert_close(fit.learning.learnt[name].cpu(), values, rtol=0.05, atol=0.02, msg=name)
 
 
 @pytest.mark.cuda
@@ -69,7 +69,7 @@ def test_captured_steps_match_plain_ones(name: str, kind: str, colors: Colors) -
     """After as many steps the splats are as near to the model and show the same, whatever the colours are made of."""
     device = torch.device("cuda")
     (plain, views), (captured, _) = (started(name, kind, device, colors) for _ in range(2))
-    plain._captures = False
+    plain.captures = False
     smaller = ViewTensors(views[0].viewmat, views[0].K, views[0].width - 8, views[0].height - 4)
     for step in range(3 * MEASURED):
         view = smaller if step % 5 == 4 else views[step % len(views)]
@@ -88,7 +88,7 @@ def test_moved_splats_stay_in_the_captured_step() -> None:
     """Relocation changes what a graph works on, in place: later steps go on from there."""
     fit, views = started("thermal", "scalar", torch.device("cuda"))
     with torch.no_grad():
-        fit.learning._learnt["logit_opacities"][::2] = -10.0
+        fit.learning.learnt["logit_opacities"][::2] = -10.0
     for step in range(MEASURED + 4):
         fit.run(views[step % len(views)], 1.0)
     fit.learning.relocate(fit.exact, views, torch.Generator().manual_seed(0))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from gaussian_scenes import Scene, relative_error
 from rasterizer_replays import SEEN, Bench, images_of
-from thermosplat.rasterizer.replay import replayed_calls
+from thermosplat.rasterizer.replay import known_signature
 
 pytestmark = pytest.mark.rotating
 
@@ -220,7 +220,7 @@ def test_tensors_of_other_strides(bench: Bench) -> None:
 
 def test_large_tensors_are_read_where_they_lie(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Parameters are not copied; one that comes from elsewhere is noticed, and copied from then on."""
-    monkeypatch.setattr(replayed_calls, "BOUND_BYTES", 1)
+    monkeypatch.setattr(known_signature, "BOUND_BYTES", 1)
     scene = bench.scene(0)
     for _ in range(SEEN):
         results(bench.calls, scene)

@@ -7,7 +7,7 @@ import warp as wp
 
 from thermosplat.rasterizer.replay.image_launches import LaunchedByReplays, LaunchedNow, Places
 from thermosplat.torch_bridge.arrays import vector_of, view
-from warp_kernels.blending.blending_step import BlendedArrays
+from warp_kernels.blending.blended_arrays import BlendedArrays
 from warp_kernels.machinery.array_views import ArrayView
 
 

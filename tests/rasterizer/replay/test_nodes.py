@@ -69,7 +69,7 @@ def test_a_second_backward_pass(bench: Bench) -> None:
 def test_a_captured_call_is_free_when_it_can_no_longer_be_differentiated(bench: Bench) -> None:
     """After the backward pass, though images are kept; when images are dropped without one; not before."""
     bench.warmed_up()
-    (signature,) = bench.calls._signatures.values()
+    (signature,) = bench.calls.signatures.values()
     kept = bench.calls(**bench.scene(5))
     assert len(signature.free) == 0
     kept[0].sum().backward(retain_graph=True)

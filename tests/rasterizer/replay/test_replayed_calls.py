@@ -13,7 +13,7 @@ from gaussian_scenes import relative_error
 from rasterizer_replays import SEEN, Bench
 from thermosplat import rasterization
 from thermosplat.rasterizer import replay
-from thermosplat.rasterizer.replay import replayed_calls
+from thermosplat.rasterizer.replay import known_signature, replayed_calls
 
 cpu = pytest.mark.parametrize("device", [torch.device("cpu")])
 
@@ -54,7 +54,7 @@ def test_a_frame_without_room_is_rendered_plainly(either_bench: Bench) -> None:
 def test_the_room_of_many_pairs_is_tight_until_it_was_too_small(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """An eighth over what was seen; where views differ, half as much again, as few pairs have at once."""
     for many, spares in ((10**9, (1.5, 1.5)), (1, (1.03125, 1.5))):
-        monkeypatch.setattr(replayed_calls, "MANY_PAIRS", many)
+        monkeypatch.setattr(known_signature, "MANY_PAIRS", many)
         bench.calls.clear()
         for size, spare in zip((0.02, 3.0), spares, strict=True):
             scene = bench.scene(3, n=900, width=120, height=90)
@@ -62,7 +62,7 @@ def test_the_room_of_many_pairs_is_tight_until_it_was_too_small(bench: Bench, mo
                 scene["scales"].mul_(size)
             for _ in range(SEEN + 2):
                 assert torch.equal(bench.calls(**scene)[0], bench.plain(**scene)[0])
-            (signature,) = bench.calls._signatures.values()
+            (signature,) = bench.calls.signatures.values()
             captured = [one() for one in signature.captured]
             assert [one.room.spare for one in captured if one is not None] == [spare]
 
@@ -109,7 +109,7 @@ def test_the_least_recently_used_go(bench: Bench, device: torch.device, monkeypa
     for n in (11, 12, 11, 13):
         for _ in range(SEEN + 1):
             bench.calls(**bench.scene(0, n=n))
-    kept = [len(one.captured) for one in bench.calls._signatures.values()]
+    kept = [len(one.captured) for one in bench.calls.signatures.values()]
     assert kept == [1, 0, 1]
     assert bench.calls.counts.captured == 3
 
@@ -122,8 +122,8 @@ def test_memory_that_is_kept_is_bounded(bench: Bench, device: torch.device, monk
     for n in (11, 12, 13, 14):
         for _ in range(SEEN):
             bench.calls(**bench.scene(0, n=n))
-        assert sum(one.bytes for one in bench.calls._signatures.values()) <= 250
-    assert [bool(one.captured) for one in bench.calls._signatures.values()] == [False, False, True, True]
+        assert sum(one.bytes for one in bench.calls.signatures.values()) <= 250
+    assert [bool(one.captured) for one in bench.calls.signatures.values()] == [False, False, True, True]
 
 
 @cpu
@@ -135,7 +135,7 @@ def test_signatures_that_are_counted_are_bounded(
     bench.warmed_up()
     for n in range(60, 70):
         bench.calls(**bench.scene(0, n=n))
-        assert len(bench.calls._signatures) <= 3
+        assert len(bench.calls.signatures) <= 3
     bench.calls(**bench.scene(0))
     assert bench.calls.counts.replayed == 1
 
@@ -179,7 +179,7 @@ def test_large_info_is_seldom_copied(bench: Bench, device: torch.device) -> None
         assert replayed  # after a copy of the first
         assert not replays(7)[0]
         assert torch.equal(second["depths"], bench.plain(**bench.scene(6))[-1]["depths"])
-        assert all(replays(seed)[0] for seed in range(replayed_calls.COPY_EVERY))
+        assert all(replays(seed)[0] for seed in range(known_signature.COPY_EVERY))
         _, third = replays(8)
         assert replays(9)[0]
         for seed, info in ((5, first), (8, third)):
@@ -239,12 +239,12 @@ def test_another_place_has_other_graphs(bench: Bench, device: torch.device) -> N
 def test_a_forked_process_has_nothing(bench: Bench, device: torch.device) -> None:
     """What its parent captured is neither used nor destroyed there."""
     bench.warmed_up()
-    bench.calls._turn.acquire()  # as if another thread captured
+    bench.calls.turn.acquire()  # as if another thread captured
     child = os.fork()
     if child == 0:
-        empty = not bench.calls._signatures and not bench.calls._turn.locked()
+        empty = not bench.calls.signatures and not bench.calls.turn.locked()
         os._exit(0 if empty and replayed_calls._left_by_parent else 1)
-    bench.calls._turn.release()
+    bench.calls.turn.release()
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     bench.calls(**bench.scene(0))
     assert bench.calls.counts.replayed == 1
@@ -257,7 +257,7 @@ def test_clearing_lets_go_of_everything(bench: Bench, device: torch.device) -> N
     scene = bench.scene(5)
     image = bench.calls(**scene)[0]
     replay.clear()
-    assert not bench.calls._signatures
+    assert not bench.calls.signatures
     image.sum().backward()
     truth = torch.autograd.grad(bench.plain(**scene)[0].sum(), scene["means"])[0]
     assert relative_error(scene["means"].grad, truth) < 1e-4

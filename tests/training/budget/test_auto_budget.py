@@ -63,10 +63,10 @@ def test_pruning_ends_growth_and_frees_the_validation_views(tmp_path: Path) -> N
     advance(trainer, 17)
     before = trainer.model.num_gaussians
     assert before > 60
-    assert trainer.state.growing
+    assert trainer.state.budget.growing
     advance(trainer, 18)
     assert trainer.model.num_gaussians < before
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
     pruned = trainer.model.num_gaussians
     advance(trainer, 40)
     assert trainer.model.num_gaussians <= pruned
@@ -79,12 +79,12 @@ def test_a_run_too_short_to_have_grown_is_not_cut_at_its_first_share(tmp_path: P
     advance(trainer, 9)
     before = trainer.model.num_gaussians
     advance(trainer, 10)
-    assert trainer.state.growing
+    assert trainer.state.budget.growing
     assert trainer.model.num_gaussians >= before
     advance(trainer, 17)
     before = trainer.model.num_gaussians
     advance(trainer, 18)
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
     assert trainer.model.num_gaussians < before
 
 
@@ -92,8 +92,8 @@ def test_without_shares_nothing_is_pruned_and_growth_goes_on(tmp_path: Path) -> 
     """An empty ``prune_at`` is no share of the run, not its first step."""
     trainer = toy_trainer(tmp_path, budget_config(prune_at=()), many_frames(toy_capture(), FRAMES))
     advance(trainer, 6)
-    assert trainer.state.growing
-    assert not trainer.state.offsets_dropped
+    assert trainer.state.budget.growing
+    assert not trainer.state.budget.offsets_dropped
     assert trainer.model.num_gaussians > 60
 
 
@@ -103,7 +103,7 @@ def test_pruning_changes_the_images_little(tmp_path: Path) -> None:
     assert trainer.budget is not None
     advance(trainer, 6)
     change, before = trainer.budget.images(1), trainer.model.num_gaussians
-    trainer.budget._prune(1)
+    trainer.budget.prune(1)
     assert trainer.model.num_gaussians < before
     assert change.now() <= 0.02
 
@@ -135,10 +135,10 @@ def test_growth_stops_when_validation_does_not_rise(tmp_path: Path) -> None:
     with tolerating(least_gain=1000.0, growth_looks=3):
         trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
     advance(trainer, 9)
-    assert trainer.state.growing
-    assert trainer.state.best_validation[0] > 0
+    assert trainer.state.budget.growing
+    assert trainer.state.budget.best_validation[0] > 0
     advance(trainer, 10)  # first look at 4, the best; at 10 the patience ends
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
 
 
 def test_too_small_a_rise_is_none(tmp_path: Path) -> None:
@@ -146,12 +146,12 @@ def test_too_small_a_rise_is_none(tmp_path: Path) -> None:
     with tolerating(least_gain=0.5):
         trainer = toy_trainer(tmp_path, budget_config(), many_frames(toy_capture(), FRAMES))
     assert trainer.budget is not None
-    trainer.budget._validate(2, 1)
-    best, _ = trainer.state.best_validation
+    trainer.budget.validate(2, 1)
+    best, _ = trainer.state.budget.best_validation
     for below, expected in ((0.4, best - 0.4), (0.6, best)):
-        trainer.state.best_validation = (best - below, 0)
-        trainer.budget._validate(4, 1)
-        assert trainer.state.best_validation[0] == pytest.approx(expected)
+        trainer.state.budget.best_validation = (best - below, 0)
+        trainer.budget.validate(4, 1)
+        assert trainer.state.budget.best_validation[0] == pytest.approx(expected)
 
 
 def test_offsets_shrink_until_those_that_do_nothing_go(tmp_path: Path) -> None:
@@ -179,10 +179,10 @@ def test_a_full_budget_ends_growth(tmp_path: Path) -> None:
     config = dataclasses.replace(config, densification=densification)
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
     advance(trainer, 3)
-    assert trainer.state.growing
+    assert trainer.state.budget.growing
     advance(trainer, 4)  # 60 and 5%
     assert trainer.model.num_gaussians == 63
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
 
 
 def test_no_validation_views_where_there_are_too_few(tmp_path: Path) -> None:
@@ -225,13 +225,13 @@ def test_three_spectra_are_all_looked_at(tmp_path: Path) -> None:
     assert sorted(name for frame in withheld for name in frame.views) == sorted(2 * shown)
     change = trainer.budget.images(1)
     assert change.errors.keys() == set(shown)
-    trainer.budget._validate(2, 1)
+    trainer.budget.validate(2, 1)
     expected = []
     for index in trainer.budget.validation:
         frame = trainer.frames[index]
         ((name, view),) = frame.views.items()
         expected.append(psnr(trainer.model.render(frame.views, sh_degree=1).images[name].detach(), view.image))
-    assert trainer.state.best_validation[0] == pytest.approx(sum(expected) / 6)
+    assert trainer.state.budget.best_validation[0] == pytest.approx(sum(expected) / 6)
 
 
 def test_a_gaussian_of_a_third_spectrum_has_its_worth(tmp_path: Path) -> None:
@@ -273,7 +273,7 @@ def test_offsets_of_each_spectrum_go_by_its_own_images(tmp_path: Path) -> None:
     assert kept["thermal"] == 0.0
     assert 0.1 < kept["nir"] < 0.9
     assert 0 < change.now() <= 1e-4
-    assert trainer.state.offsets_dropped
+    assert trainer.state.budget.offsets_dropped
     zeros = gaussians.nir_opacity_offsets == 0
     advance(trainer, 2)
     assert torch.equal(gaussians.nir_opacity_offsets == 0, zeros)
@@ -337,12 +337,12 @@ def test_a_finished_run_is_trimmed_once_and_may_go_on(tmp_path: Path) -> None:
     again.train()
     assert_same_state(state_tensors(again), state_tensors(trainer))
     longer = Trainer.resume(dataclasses.replace(config, max_steps=24), capture, trainer.run)
-    assert longer.state.trimmed
+    assert longer.state.budget.trimmed
     advance(longer, 22)
-    assert not longer.state.trimmed
+    assert not longer.state.budget.trimmed
     assert longer.state.checkpoint(longer.config, 1, {}).training.optimizers is not None
     longer.train()
-    assert longer.state.trimmed
+    assert longer.state.budget.trimmed
 
 
 @pytest.mark.rotating
@@ -375,15 +375,15 @@ def test_growth_of_a_set_that_is_trained_later(tmp_path: Path) -> None:
     config = dataclasses.replace(config, densification=dataclasses.replace(config.densification, stop_step=20))
     trainer = toy_trainer(tmp_path, config, many_frames(toy_capture(), FRAMES))
     advance(trainer, 32)
-    assert trainer.state.growing
-    assert trainer.state.best_validation[1] == 0
+    assert trainer.state.budget.growing
+    assert trainer.state.budget.best_validation[1] == 0
     copied = len(trainer.model.gaussians("thermal"))
     advance(trainer, 48)
-    assert trainer.state.growing
-    assert trainer.state.best_validation[1] >= 34
+    assert trainer.state.budget.growing
+    assert trainer.state.budget.best_validation[1] >= 34
     assert len(trainer.model.gaussians("thermal")) != copied
     advance(trainer, 50)
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
 
 
 @tolerating(feature_change=1e9)
@@ -444,7 +444,7 @@ def test_resumed_run_is_the_same(tmp_path: Path, stop: int, spectra: dict[str, d
     advance(half, stop)
     half.save()
     resumed = Trainer.resume(config, capture, half.run)
-    assert resumed.state.best_validation == half.state.best_validation
+    assert resumed.state.budget.best_validation == half.state.budget.best_validation
     advance(resumed, 36)
     assert_same_state(state_tensors(resumed), state_tensors(whole))
 
@@ -459,7 +459,7 @@ def test_nothing_goes_of_a_scene_that_is_not_learnt(
     before = trainer.model.num_gaussians
     advance(trainer, 18)
     assert trainer.model.num_gaussians == before
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
     assert "No Gaussians are removed: the scene has not learnt its thermal and RGB images" in capsys.readouterr().out
     assert trainer.budget is not None
     degrees = [gaussians.shN.clone() for gaussians in trainer.state.gaussian_sets.values()]

@@ -198,7 +198,7 @@ def test_views_stay_withheld_while_noise_may_be_learnt(tmp_path: Path, noise: fl
     withheld = {trainer.frames.frames[index].name for index in trainer.budget.validation}  # type: ignore[attr-defined]
     assert len(withheld) == 2
     advance(trainer, 12)
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
     assert bool(withheld & shown(trainer, 12, 100)) == (not noisy)
     advance(trainer, 20)
     assert trainer.state.noise_watch is not None
@@ -211,7 +211,7 @@ def test_few_views_stay_withheld_for_a_share_of_the_run(tmp_path: Path) -> None:
     """Where two are more than a twentieth: up to that share of the run, whatever part of the error is noise."""
     for noise in (NOISE, 1e-9):
         trainer = advance(noisy_run(tmp_path / f"{noise}", watched(), noise, FRAMES - 2), 12)
-        assert not trainer.state.growing
+        assert not trainer.state.budget.growing
         assert trainer.state.noise_watch is not None
         assert not trainer.state.noise_watch.over
         advance(trainer, 16)
@@ -228,7 +228,7 @@ def test_few_noisy_views_stay_withheld_up_to_the_last_removal(
     advance(trainer, 19)
     watch = trainer.state.noise_watch
     assert watch is not None
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
     assert not watch.over
     advance(trainer, 20)
     assert watch.over
@@ -241,7 +241,7 @@ def test_few_views_say_what_goes_back(tmp_path: Path, worse: None, capsys: pytes
     """RGB falls by a decibel in each step, and has no noise."""
     config = watched()
     trainer = advance(noisy_run(tmp_path, config, 1e-9, FRAMES - 2), 15)
-    assert not trainer.state.growing
+    assert not trainer.state.budget.growing
     assert trainer.state.taught == ()
     assert trainer.budget is not None
     withheld = {trainer.frames.frames[index].name for index in trainer.budget.validation}  # type: ignore[attr-defined]

@@ -93,7 +93,7 @@ def test_what_counts_as_a_conflict(rgb: list[float], thermal: list[float], divid
     strategy, _ = strategy_of(gaussians)
     for _ in range(2):  # means over views, not sums
         strategy.observe([info("rgb", [rgb]), info("thermal", [thermal])], FINE)
-    assert strategy._conflicting(gaussians).tolist() == [divided]
+    assert strategy.conflicting(gaussians).tolist() == [divided]
 
 
 def test_gaussian_of_one_spectrum_is_not_divided_again() -> None:
@@ -101,7 +101,7 @@ def test_gaussian_of_one_spectrum_is_not_divided_again() -> None:
     gaussians = two_opacity_gaussians([0.6], [OFF])
     strategy, _ = strategy_of(gaussians)
     strategy.observe([info("rgb", [[9e-4, 0.0]]), info("thermal", [[0.0, 9e-4]])], FINE)
-    assert strategy._conflicting(gaussians).tolist() == [False]
+    assert strategy.conflicting(gaussians).tolist() == [False]
 
 
 def test_blocked_steps_are_not_noted() -> None:
@@ -203,7 +203,7 @@ def test_state_survives_a_checkpoint() -> None:
     other, _ = strategy_of(gaussians)
     other.load_state_dict(strategy.state_dict())
     assert torch.equal(other.gradient_sums, strategy.gradient_sums)
-    assert other._conflicting(gaussians).tolist() == [True]
+    assert other.conflicting(gaussians).tolist() == [True]
 
 
 def test_state_of_a_strategy_that_did_not_divide() -> None:
@@ -217,7 +217,7 @@ def test_state_of_a_strategy_that_did_not_divide() -> None:
     strategy.load_state_dict(plain.state_dict())
     assert strategy.grad_norm_sum.tolist() == plain.grad_norm_sum.tolist()
     assert strategy.gradient_sums.tolist() == [[[0.0, 0.0]], [[0.0, 0.0]]]
-    assert strategy._conflicting(gaussians).tolist() == [False]
+    assert strategy.conflicting(gaussians).tolist() == [False]
 
 
 def test_any_two_spectra_are_divided() -> None:

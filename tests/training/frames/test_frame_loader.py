@@ -197,7 +197,7 @@ def test_an_image_that_is_lost_is_named(tmp_path: Path) -> None:
         loader.at(2, range(7).__getitem__, 7)
     assert caught.value.message == f"{root}/rgb/0003.png is 64x48, and it was 32x24 when the training began."
     assert caught.value.hint == "Restore it."
-    assert loader._reading is None
+    assert loader.reading is None
     write_image(root / "rgb" / "0003.png", rgb_image(3, 32, 24))
     assert loader.at(2, range(7).__getitem__, 7).index == 2
     loader.close()
@@ -209,7 +209,7 @@ def test_a_process_that_is_killed(loader: FrameLoader, number: int) -> None:
     before, order = signal.getsignal(signal.SIGCHLD), 100 * ORDER
     loader.release(loader.at(0, order.__getitem__, len(order)))
     assert signal.getsignal(signal.SIGCHLD) is before
-    for process in loader._reading._processes:
+    for process in loader.reading.processes:
         os.kill(process.pid, number)
     with pytest.raises(ImageLostError, match="was ended by the system, as it does where memory is short") as caught:
         go_through(loader, order, start=1)  # some frames may be ready
@@ -220,7 +220,7 @@ def test_one_of_two_is_killed(loader: FrameLoader) -> None:
     """The frame in its hands will not come, and nobody waits for it."""
     order = 100 * ORDER
     loader.release(loader.at(0, order.__getitem__, len(order)))
-    os.kill(loader._reading._processes[0].pid, signal.SIGKILL)
+    os.kill(loader.reading.processes[0].pid, signal.SIGKILL)
     with pytest.raises(ImageLostError, match="was ended by the system"):
         go_through(loader, order, start=1)
 
@@ -247,11 +247,11 @@ def test_signals_leave_them_alone(loader: FrameLoader, begins_after: float, monk
 
     monkeypatch.setattr(reading_processes._Work, "run", late)
     loader._begin(0, ORDER.__getitem__, len(ORDER))
-    for process in loader._reading._processes:
+    for process in loader.reading.processes:
         os.kill(process.pid, signal.SIGINT)
         os.kill(process.pid, signal.SIGHUP)
     go_through(loader, ORDER, start=0)
-    assert all(process.is_alive() for process in loader._reading._processes)
+    assert all(process.is_alive() for process in loader.reading.processes)
 
 
 SCRIPT = """
@@ -262,7 +262,7 @@ loader = FrameLoader([stored_views(frame) for frame in load_capture({root!r}, im
 other = FrameLoader([stored_views(frame) for frame in load_capture({root!r}, image_memory=1e-9).train], 1)
 for one in (loader, other):
     one.release(one.at(0, range(7).__getitem__, 7))
-print(*(process.pid for one in (loader, other) for process in one._reading._processes), flush=True)
+print(*(process.pid for one in (loader, other) for process in one.reading.processes), flush=True)
 {end}
 """
 

@@ -105,23 +105,23 @@ def test_a_lens_stays_what_it_is() -> None:
 
 def test_images_are_made_once_per_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame seen again is the same one; another size takes the memory of the one before; full size is not copied."""
-    monkeypatch.setattr(train_frames, "_free_bytes", lambda device: 10**9)
+    monkeypatch.setattr(train_frames, "free_bytes", lambda device: 10**9)
     frames = frames_of()
     sized = ShrunkFrames(frames)
     full = [at(sized, place, 1.0) for place in range(4)]
-    left = frames._budget
+    left = frames.room
     first = [at(sized, place, 1.5) for place in range(4)]
     assert all(at(sized, place + 4, 1.5) is first[place] for place in range(4))
-    assert frames._budget < left
+    assert frames.room < left
     at(sized, 0, 1.2)
     assert at(sized, 0, 1.5) is not first[0]
     assert all(at(sized, place, 1.0) is full[place] for place in range(4))
-    assert frames._budget == left
+    assert frames.room == left
 
 
 def test_without_memory_they_are_made_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same images all the same."""
-    monkeypatch.setattr(train_frames, "_free_bytes", lambda device: 0)
+    monkeypatch.setattr(train_frames, "free_bytes", lambda device: 0)
     sized = ShrunkFrames(frames_of())
     first, again = at(sized, 0, 1.5), at(sized, 0, 1.5)
     assert first is not again

@@ -41,7 +41,7 @@ def test_frames_hold_what_is_modelled() -> None:
 @pytest.mark.parametrize(("free_bytes", "kept"), [(10**9, 4), (0, 0), (4 * 15_000, 2)])
 def test_cache_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch, free_bytes: int, kept: int) -> None:
     """A quarter of the free memory is filled; frames beyond are made anew and are the same."""
-    monkeypatch.setattr(train_frames, "_free_bytes", lambda device: free_bytes)
+    monkeypatch.setattr(train_frames, "free_bytes", lambda device: free_bytes)
     # 24x18 pixels of 3 + 3 bytes and 1 + 1 floats
     frames = TrainFrames(many_frames(toy_capture()), ("rgb", "thermal"), CPU)
     first = [frames.at(place, int, 4) for place in range(4)]
@@ -71,4 +71,4 @@ def test_images_are_kept_as_bytes() -> None:
 
 def test_free_memory_is_known() -> None:
     """There is some free memory, or nothing would run."""
-    assert train_frames._free_bytes(CPU) > 2**20
+    assert train_frames.free_bytes(CPU) > 2**20

@@ -58,7 +58,7 @@ def test_plain_lines_every_interval(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", ["close", "evaluation"])
 def test_lines_of_a_gpu_are_late_but_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
     """A line is that of its step although others were done meanwhile; the end and an evaluation do not wait for it."""
-    monkeypatch.setattr(run_logger, "_memory_bytes", lambda device: 0)
+    monkeypatch.setattr(run_logger, "memory_bytes", lambda device: 0)
     logger, output = _logger(tmp_path, device=torch.device("cuda"))
     logger.start(0)
     for step in range(1, 9):
@@ -110,8 +110,8 @@ def test_values_are_read_once_an_interval(tmp_path: Path, monkeypatch: pytest.Mo
     """On a GPU the device is waited for only where a line is due, live line or not."""
     logger, _ = _logger(tmp_path, terminal=True)
     logger.device = torch.device("cuda")
-    monkeypatch.setattr(run_logger, "_memory_bytes", lambda device: 2**30)
-    monkeypatch.setattr(run_logger, "_REFRESH_SECONDS", 0.0)
+    monkeypatch.setattr(run_logger, "memory_bytes", lambda device: 2**30)
+    monkeypatch.setattr(run_logger, "REFRESH_SECONDS", 0.0)
     reads = []
     genuine = logger._means
     monkeypatch.setattr(logger, "_means", lambda: reads.append(1) or genuine())
@@ -124,7 +124,7 @@ def test_values_are_read_once_an_interval(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_live_line_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a terminal the line is rewritten in place between the intervals, and taken down at the end."""
-    monkeypatch.setattr(run_logger, "_REFRESH_SECONDS", 0.0)
+    monkeypatch.setattr(run_logger, "REFRESH_SECONDS", 0.0)
     logger, output = _logger(tmp_path, terminal=True)
     logger.start(0)
     for step in range(1, 4):
@@ -211,7 +211,7 @@ def test_compiling_is_said_when_it_takes_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, long: float, said: bool
 ) -> None:
     """The first step announces compilation only if it takes a while."""
-    monkeypatch.setattr(run_logger, "_COMPILING_AFTER_SECONDS", long)
+    monkeypatch.setattr(run_logger, "COMPILING_AFTER_SECONDS", long)
     logger, output = _logger(tmp_path)
     with logger.compiling():
         while said and not output.getvalue():
@@ -300,4 +300,4 @@ def test_an_output_that_cannot_be_written_is_told_once(
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (754, "12:34"), (4354, "1:12:34")])
 def test_durations_read_as_on_a_clock(seconds: float, text: str) -> None:
     """Durations read as on a clock, with hours where there are some."""
-    assert run_logger._clock(seconds) == text
+    assert run_logger.duration(seconds) == text

@@ -13,7 +13,8 @@ from warp_kernels.binning.binning_step import bin_tiles
 from warp_kernels.binning.tile_bins import TileBins
 from warp_kernels.blending import blending_step
 from warp_kernels.blending.blend_layout import BlendLayout
-from warp_kernels.blending.blending_step import BlendedArrays, blend
+from warp_kernels.blending.blended_arrays import BlendedArrays
+from warp_kernels.blending.blending_step import blend
 from warp_kernels.blending.list_segments import LONG_LIST
 from warp_kernels.machinery import launching
 from warp_kernels.projection.projection import ProjectedArrays
@@ -177,7 +178,7 @@ def test_states_have_the_room_that_is_needed(segment: int, has_room: bool, monke
     for name in ("launch", "launch_again", "launch_tiles"):
         monkeypatch.setattr(blending_step, name, partial(told, getattr(blending_step, name)))
     arrays = (projected(scene), opacities, opacities, scene.features, bins, scene.settings)
-    walk = blending_step.blend(*arrays, blending_step.BlendedArrays(*images), layout=layout)
+    walk = blending_step.blend(*arrays, BlendedArrays(*images), layout=layout)
     # all that a call in a graph may launch, which cannot be loaded there
     assert launched == {"deal_states_kernel", "segment_light", "blend", "join_segments"}
     assert (rows > 0) == (segment == 64)

@@ -18,7 +18,6 @@ def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) 
 
     Args:
         arguments: The command's.
-        loaded: The run.
         folder: Where to write.
 
     Raises:

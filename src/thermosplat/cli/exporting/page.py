@@ -23,7 +23,6 @@ def export_page(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path)
 
     Args:
         arguments: The command's.
-        loaded: The run.
         folder: Where to write.
 
     Raises:

@@ -30,7 +30,6 @@ def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pat
 
     Args:
         arguments: The command's; its format is one of splats.
-        loaded: The run.
         folder: Where to write.
 
     Raises:
@@ -100,7 +99,6 @@ def fitted_scene(
 
     Args:
         arguments: The command's: spectra, passes of the fit.
-        loaded: The run.
         frame: Where positions of files count from.
         colors: What the splats show.
 

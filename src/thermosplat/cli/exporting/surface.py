@@ -19,7 +19,6 @@ def export_surface(arguments: "ExportArguments", loaded: "LoadedRun", folder: Pa
 
     Args:
         arguments: The command's.
-        loaded: The run.
         folder: Where to write.
 
     Raises:

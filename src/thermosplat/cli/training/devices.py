@@ -30,9 +30,6 @@ _POLL = 0.05
 def devices_asked(argv: list[str]) -> int | None:
     """What a command line says of ``--devices``; None: nothing, or this process is one of several already.
 
-    Args:
-        argv: Arguments without the program's name.
-
     Raises:
         UserError: It is no number of devices.
     """

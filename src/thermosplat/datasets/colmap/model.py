@@ -88,7 +88,6 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
     """Refuse a model that covers next to nothing of the capture, or whose points are better in another one beside it.
 
     Args:
-        model: The model.
         files: Image files in the capture that could be in the model.
         root: The capture's folder.
 

@@ -1,10 +1,18 @@
-"""Image files that share the cameras of a COLMAP model's images."""
+"""Captures whose image files share the cameras of a COLMAP model's images: two layouts.
+
+- RGBT-Scenes, as ThermalGaussian published it: rgb/{train,test}, thermal/{train,test} and a model. Both spectra of a
+  frame have one stem, one pose and one camera. Without train/ and test/ the files lie in rgb/ and thermal/ themselves.
+  Radiometric values may lie in thermal_raw/, divided or flat.
+- A plain COLMAP project: images/, a model, and a folder per further spectrum with the stems of the photographs.
+  thermal/ may hold pseudo-colour, grey, or radiometric files (16-bit PNG, float TIFF). Images that are not in the model
+  share the photograph's camera; that has to show in equal sizes, or be said (``--thermal.aligned``).
+"""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from thermosplat.datasets.colmap.model import RegisteredImage
-from thermosplat.datasets.frame_files import FrameFiles, Shot
+from thermosplat.datasets.colmap.model import ColmapModel, RegisteredImage
+from thermosplat.datasets.frame_files import FrameFiles, Listing, Shot
 from thermosplat.datasets.images.image_folders import spectrum_folder, values_folder
 from thermosplat.datasets.images.image_names import (
     NamedImages,
@@ -24,30 +32,32 @@ def named_images(images: Sequence[RegisteredImage], folders: Collection[str]) ->
     RGBT-Scenes needs the second: its model may name images of a folder that no longer exists.
 
     Args:
-        images: The images.
         folders: As ``folders_of`` has them.
     """
     named = [(image.name, image) for image in images]
     return NamedImages("the COLMAP model", named, same_files=True, by_stem=True, folders=folders)
 
 
-def frames_with_borrowed_cameras(
-    root: Path, folder: Path, images: Sequence[RegisteredImage], spectra: Mapping[str, SpectrumConfig]
-) -> tuple[list[FrameFiles], list[str]]:
-    """Frames whose images of all spectra share the pose and camera of one registered image.
+def list_shared_cameras(
+    root: Path, folder: Path, model: ColmapModel, spectra: Mapping[str, SpectrumConfig], *, published: bool
+) -> Listing:
+    """Files, cameras and points of a capture in one of the two layouts.
 
     Args:
         root: The capture's folder.
-        folder: Images of the first spectrum; may be absent.
-        images: The registered images.
-        spectra: The spectra to look for; images of the others have the same stems, in folders of their own.
-
-    Returns:
-        The frames, and notes on images without a pose and poses without an image.
-
-    Raises:
-        UserError: Several images have one stem, and nothing tells which of them belong together.
+        folder: Images of the first spectrum, which are in the model.
+        spectra: The spectra to look for.
+        published: It is RGBT-Scenes' layout, whose spectra are registered to each other.
     """
+    frames, notes = _frames_with_borrowed_cameras(root, folder, model.images, spectra)
+    layout = "rgbt-scenes" if published else "colmap"
+    return Listing(layout, tuple(frames), model.points, model.point_colors, registered=published, notes=tuple(notes))
+
+
+def _frames_with_borrowed_cameras(
+    root: Path, folder: Path, images: Sequence[RegisteredImage], spectra: Mapping[str, SpectrumConfig]
+) -> tuple[list[FrameFiles], list[str]]:
+    """Frames whose images share the pose and camera of one registered image; notes on images without a pose."""
     files, values = files_of_spectra(root, folder, spectra)
     masks = masks_by_spectrum(root, spectra)
     registered = named_images(images, folders_of(spectra))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermosplat.datasets.images.jpeg_segments import APP0, segments
 from thermosplat.regular_files import read_regular
 from thermosplat.thermal.radiometry import Palette
 
@@ -35,14 +36,8 @@ def read_flir_palette(path: Path) -> Palette | None:
 
 def fff_file(jpeg: bytes) -> bytes:
     """The pieces in the file's APP1 segments, joined; empty where there are none."""
-    pieces: dict[int, bytes] = {}
-    at = 2 if jpeg.startswith(b"\xff\xd8") else len(jpeg)
-    while at + 4 <= len(jpeg) and jpeg[at] == 0xFF and jpeg[at + 1] != 0xDA:
-        length = int.from_bytes(jpeg[at + 2 : at + 4], "big")
-        segment = jpeg[at + 4 : at + 2 + length]
-        if jpeg[at + 1] == 0xE1 and segment.startswith(_MARK):
-            pieces[segment[6]] = segment[8:]
-        at += 2 + length
+    bodies = (body for marker, body in segments(jpeg) if marker == APP0 + 1 and body.startswith(_MARK))
+    pieces = {body[6]: body[8:] for body in bodies}
     return b"".join(pieces[number] for number in sorted(pieces))
 
 

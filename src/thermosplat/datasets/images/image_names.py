@@ -147,7 +147,6 @@ class NamedImages(Generic[T]):
         """The name of the image that belongs to one of another folder.
 
         Args:
-            name: That one's name.
             others: What it is in; of several images there with that key, each has its own here or none.
 
         Returns:

@@ -17,7 +17,7 @@ from tempfile import TemporaryFile
 from thermosplat.datasets.images.image_files import JPEG_SUFFIXES
 from thermosplat.errors import UserError
 
-_DECODER = Path(__file__).with_name("jpeg_decoder.py")
+DECODER = Path(__file__).with_name("jpeg_decoder.py")
 _FILES_PER_PROCESS = 128
 """A process takes 0.3 s to start, and some milliseconds for a file of a megapixel."""
 _DAMAGE = (b"Corrupt JPEG data", b"Premature end", b"Inconsistent progression")
@@ -114,7 +114,7 @@ def _stamp(path: Path) -> _Stamp:
 def _warnings(paths: Sequence[Path]) -> dict[Path, str]:
     """What the decoder says of the picture in each file that it warns of."""
     process = subprocess.run(
-        [sys.executable, "-P", str(_DECODER)],
+        [sys.executable, "-P", str(DECODER)],
         input=b"\0".join(os.fsencode(os.path.abspath(path)) for path in paths),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -26,7 +26,6 @@ class SpectrumFile:
         path: File of the displayable image, or of the values where there is no other; for messages.
         display: uint8 [H, W] grey or [H, W, 3] colour.
         raw: [H, W] radiometric values.
-        raw_path: Their file.
         mask: bool [H, W], where pixels of the displayable image count; None: everywhere.
         raw_mask: The same of the radiometric values.
     """

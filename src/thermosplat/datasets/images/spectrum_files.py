@@ -36,7 +36,6 @@ def read_spectrum(
         root: The capture's folder.
         name: The spectrum's name.
         spectrum: Its settings.
-        frames: The frames.
         listing: What the layout knows of the capture.
         ranging: Exposures whose values decide the range, where `frames` are not all; as of ``interpret``.
 

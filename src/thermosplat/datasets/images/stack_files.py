@@ -39,7 +39,6 @@ def read_stack(path: Path, channels: int) -> NDArray[np.float32]:
     """The channels of a file, [H, W, channels].
 
     Args:
-        path: The file.
         channels: How many it has to have; that says which of its axes they are.
 
     Raises:

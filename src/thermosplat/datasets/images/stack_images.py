@@ -120,6 +120,6 @@ def _pixels(
     mask = joined([there, None if shot.mask is None else read_mask(shot.mask, width, height)])
     normal = _normal(stack, config, ends)
     coordinates = normal @ basis.T
-    left = np.square(normal).sum(axis=-1) - np.square(coordinates).sum(axis=-1)
-    rest = np.sqrt(np.maximum(left, 0))[..., None]
+    left = normal - coordinates @ basis  # from a difference of squares, rest would be wrong by 5e-4
+    rest = np.linalg.norm(left, axis=-1, keepdims=True)
     return SpectrumPixels(np.concatenate([(coordinates + 1) / 2, rest], axis=-1, dtype=np.float32), None, mask)

@@ -32,7 +32,6 @@ def transforms_points(
         root: The capture's folder.
         file: Name of its transforms file.
         content: What that file says.
-        frames: Its frames.
         model_folder: A COLMAP model beside it, or None.
     """
     stated = content.get("ply_file_path")

@@ -50,7 +50,6 @@ def write_format(format: SplatFormat, folder: Path, scene: Described) -> Written
     """Write ``splat_<spectrum>`` in a format; the file appears at once and whole.
 
     Args:
-        format: Which one.
         folder: Where to write; made where there is none.
         scene: The splats.
 

@@ -71,7 +71,6 @@ def georeferenced_frame(capture: Capture, spectrum: str) -> MapFrame | None:
     """The map frame in which the cameras lie where GPS has them: UTM on WGS 84, metres.
 
     Args:
-        capture: The capture.
         spectrum: Whose cameras are looked up in ``frames.csv``.
 
     Returns:

@@ -90,7 +90,6 @@ class MapGrid:
 
         Args:
             frame: As of ``covering``.
-            capture: The capture.
             leading: The spectrum whose cameras are looked at.
             extent: As of ``covering``; None: what the cameras saw.
             pixel: As of ``covering``; None: so that the longer side has ``pixels``.
@@ -115,7 +114,6 @@ class MapGrid:
             upper: First row.
             width: Columns.
             height: Rows.
-            device: Where to put the tensors.
         """
         middle = np.array(
             [self.west + self.width * self.pixel / 2, self.north - self.height * self.pixel / 2, self.top]
@@ -157,8 +155,6 @@ def render_map(
         model: The trained scene.
         name: The spectrum.
         scale: What its pixel values mean.
-        grid: The map.
-        sh_degree: Highest SH degree in use.
         temperatures: How temperatures are recalculated; None: they are not. The path through the air is then that from
             the map's top.
 
@@ -198,7 +194,6 @@ def write_map(
         picture: [B, H, W].
         name: The spectrum.
         scale: What its pixel values mean.
-        grid: The map.
         recalculated: How temperatures were recalculated (``SceneTemperatures.text``); "": they were not.
 
     Raises:

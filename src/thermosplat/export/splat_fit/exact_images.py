@@ -24,7 +24,6 @@ class ExactImages:
         model: The trained scene.
         name: The spectrum.
         scale: What its pixel values mean.
-        sh_degree: Highest SH degree in use.
         colors: What the splats show.
     """
 

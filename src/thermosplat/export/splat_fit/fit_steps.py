@@ -28,6 +28,7 @@ class FitSteps:
     """Runs the steps of one fit.
 
     Attributes:
+        captures: Whether steps are captured, and replayed from then on.
         capacity: Counts the renderer's pairs.
         graphs: What was captured, by the size of the image.
     """
@@ -36,7 +37,7 @@ class FitSteps:
         self.learning, self.exact = learning, exact
         device = exact.background.device
         self.capacity = PairCapacity(device)
-        self._captures = device.type == "cuda"
+        self.captures = device.type == "cuda"
         self._done = 0
         self._cameras: dict[_Size, ViewTensors] = {}
         self.graphs: dict[_Size, torch.cuda.CUDAGraph] = {}
@@ -51,7 +52,7 @@ class FitSteps:
         """
         self.learning.set_rates(share)
         size = view.width, view.height
-        if not self._captures or self._done < MEASURED or size not in self._cameras:
+        if not self.captures or self._done < MEASURED or size not in self._cameras:
             # the first also load kernels and make Adam's moments, none of which can be captured
             self._cameras.setdefault(size, _copy(view))
             self._step(view, fixed_room=False)

@@ -54,14 +54,14 @@ class LearningSplats:
             "logit_opacities": unfitted.logit_opacities.clone(),
             "colors": self._harmonics.coordinates(coefficients),
         }
-        self._learnt = {name: value.requires_grad_() for name, value in values.items()}
+        self.learnt = {name: value.requires_grad_() for name, value in values.items()}
         self.sources = torch.arange(len(unfitted.means))
         self.invisible = (torch.sigmoid(unfitted.logit_opacities) < INVISIBLE_OPACITY).float().mean().item()
         device = unfitted.means.device
         self._first_rates = error * torch.tensor(list(RATES.values()), device=device)
-        self._rates = self._first_rates.clone()
+        self.rates = self._first_rates.clone()
         groups = [
-            {"params": [self._learnt[name]], "lr": rate} for name, rate in zip(RATES, self._rates.unbind(), strict=True)
+            {"params": [self.learnt[name]], "lr": rate} for name, rate in zip(RATES, self.rates.unbind(), strict=True)
         ]
         # of a captured step: the rates are read on the device
         kind, on_device = (WarpAdam, True) if device.type == "cuda" else (torch.optim.Adam, False)
@@ -73,12 +73,12 @@ class LearningSplats:
         Args:
             share: Of those at the start.
         """
-        torch.mul(self._first_rates, share, out=self._rates)
+        torch.mul(self._first_rates, share, out=self.rates)
 
     @property
     def splats(self) -> Splats:
         """The splats as they are now; gradients flow into all that learns."""
-        learnt = self._learnt
+        learnt = self.learnt
         means = self._centers + rotate(self._quats, self._units * learnt["means"])
         coefficients = self._harmonics.coefficients(learnt["colors"])
         shape = learnt["quats"], learnt["log_scales"], learnt["logit_opacities"]
@@ -108,7 +108,7 @@ class LearningSplats:
             self._quats[changed] = splats.quats[changed]
             self._units[changed] = splats.log_scales[changed].exp()
             self._harmonics.from_coordinates[moved] = self._harmonics.from_coordinates[onto]
-            learnt = self._learnt
+            learnt = self.learnt
             learnt["means"][changed] = 0.0
             for name in ("quats", "log_scales", "logit_opacities"):
                 learnt[name][changed] = getattr(splats, name)[changed]

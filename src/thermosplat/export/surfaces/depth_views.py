@@ -54,7 +54,6 @@ def depth_view(
         name: The spectrum whose depth and colours are taken.
         view: Its camera; a distortion of the lens is left out.
         scales: What pixel values mean, by spectrum.
-        sh_degree: Highest SH degree in use.
         temperatures: How temperatures are recalculated; None: they are not.
     """
     pinhole = view.as_pinhole()
@@ -114,7 +113,6 @@ def depth_points(
         name: The spectrum.
         views: Cameras, those of training.
         scales: What pixel values mean, by spectrum.
-        sh_degree: Highest SH degree in use.
         most: Points at most; each view gives its share, at random.
         temperatures: As of ``depth_view``.
     """

@@ -60,7 +60,6 @@ def tsdf_mesh(
         scales: What pixel values mean, by spectrum.
         bounds: Lowest and highest coordinates [world units] of what is meshed, [3] each.
         voxel: Side of a voxel [world units], > 0.
-        sh_degree: Highest SH degree in use.
         temperatures: How temperatures are recalculated; None: they are not.
 
     Raises:

@@ -17,13 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_bytes import read_regular_file
+from thermosplat.datasets.images.image_bytes import image_header, read_regular_file
+from thermosplat.datasets.images.jpeg_segments import APP0, joined
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import Exif
 from thermosplat.prepare.importing.embedded_picture import shows_the_same
 from thermosplat.prepare.importing.exif import parse_exif
-from thermosplat.prepare.importing.image_header import jpeg_header
-from thermosplat.prepare.importing.jpeg_segments import APP0, joined
 from thermosplat.thermal.planck_counts import ZERO_CELSIUS
 from thermosplat.thermal.thermal_parameters import ThermalParameters
 
@@ -152,7 +151,7 @@ def read_dji(path: Path) -> DjiFile:
     values, state = joined(content, _APP3), joined(content, _APP4)
     if len(state) > len(values):  # XT S
         values, state = state, b""
-    header = jpeg_header(content)
+    header = image_header(content)
     size = _sensor_size(len(values), state, (header.width, header.height) if header else (0, 0))
     if size is None:
         raise UserError(

@@ -12,9 +12,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from thermosplat.datasets.images.jpeg_segments import APP0, segments
 from thermosplat.prepare.capture_folder import Exif
 from thermosplat.prepare.importing.flight_data import with_flight_data, xmp_packet
-from thermosplat.prepare.importing.jpeg_segments import APP0, segments
 from thermosplat.regular_files import open_regular
 
 _HEAD = 1 << 18

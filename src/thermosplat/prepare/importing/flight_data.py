@@ -9,8 +9,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
+from thermosplat.datasets.images.jpeg_segments import APP0, segments
 from thermosplat.prepare.capture_folder import Exif
-from thermosplat.prepare.importing.jpeg_segments import APP0, segments
 
 _MARK = b"http://ns.adobe.com/xap/1.0/\0"
 _PREFIXES = r"(?:drone-[\w-]{1,30}|DJI|FLIR|Camera)"

@@ -13,8 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_bytes import read_regular_file
+from thermosplat.datasets.images.image_bytes import ImageHeader, image_header, read_regular_file
 from thermosplat.datasets.images.image_files import IMAGE_SUFFIXES, JPEG_SUFFIXES, list_images, read_image
+from thermosplat.datasets.images.jpeg_segments import is_whole_jpeg
 from thermosplat.datasets.images.jpeg_warnings import damaged_jpegs
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import Exif, FrameRow
@@ -22,7 +23,6 @@ from thermosplat.prepare.importing.dji_files import is_dji_thermal
 from thermosplat.prepare.importing.exif import parse_exif, read_exif
 from thermosplat.prepare.importing.flir_files import is_flir
 from thermosplat.prepare.importing.foreign_formats import foreign_sentences
-from thermosplat.prepare.importing.image_header import is_whole_jpeg, read_header
 from thermosplat.prepare.importing.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
 from thermosplat.printing import printable
 from thermosplat.regular_files import files_below
@@ -171,10 +171,11 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
     """The file, or why it cannot be read."""
     name = path.relative_to(folder).as_posix()
     try:
-        header = read_header(path)
+        is_jpeg = path.suffix.lower() in JPEG_SUFFIXES
+        content = read_regular_file(path) if is_jpeg else b""
+        header = image_header(content) or _decoded(path)
         kind: Kind = "values" if header.is_radiometric else "grey" if header.channels == 1 else "color"
-        if path.suffix.lower() in JPEG_SUFFIXES:
-            content = read_regular_file(path)
+        if is_jpeg:
             exif = parse_exif(content)
             kind = "flir" if is_flir(content) else "dji" if is_dji_thermal(content, exif.make) else kind
             if not is_whole_jpeg(content) and kind != "dji":  # the XT S writes no end of its picture
@@ -186,6 +187,14 @@ def _look_at(path: Path, folder: Path) -> SourceFile | str:
     except OSError as error:
         return str(error.strerror or error)
     return SourceFile(path, name, kind, header.width, header.height, exif)
+
+
+def _decoded(path: Path) -> ImageHeader:
+    """What an image has, by its pixels: so a damaged file is found, for which JPEGs have an end to be looked for."""
+    image = read_image(path)
+    height, width = image.shape[:2]
+    channels = 1 if image.ndim == 2 else 3
+    return ImageHeader.of(width, height, channels, channels, np.dtype(image.dtype).itemsize)
 
 
 def _video_frames(path: Path, folder: Path, every: int) -> list[SourceFile]:

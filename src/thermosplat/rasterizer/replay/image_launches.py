@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import torch
 
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.blending.blending_step import BlendedArrays
+from warp_kernels.blending.blended_arrays import BlendedArrays
 from warp_kernels.machinery.array_views import ArrayView
 
 
@@ -43,7 +43,6 @@ class LaunchedByReplays(LaunchedNow):
     """A ``BlendLauncher`` whose launches are left out of what is recorded, and made by each replay on its images.
 
     Args:
-        device: Where.
         leave_out: Keeps what each replay has to do there.
         places: Of the images.
     """

@@ -20,7 +20,6 @@ import torch
 
 from thermosplat.rasterizer.graph_breaks import DISABLED, disabled
 from thermosplat.rasterizer.packed_info import whole_entries
-from thermosplat.rasterizer.pair_capacity import SPARE, PairCapacity
 from thermosplat.rasterizer.replay.call_signature import (
     Call,
     call_of,
@@ -28,6 +27,7 @@ from thermosplat.rasterizer.replay.call_signature import (
     names_of_tensors,
 )
 from thermosplat.rasterizer.replay.captured_call import CapturedCall
+from thermosplat.rasterizer.replay.known_signature import KnownSignature
 from thermosplat.rasterizer.replay.machine import Machine
 from thermosplat.rasterizer.replay.recorded_call import Subject
 
@@ -51,18 +51,6 @@ IN_FLIGHT = 4
 NOTED = 256
 """Signatures that are counted, captured or not."""
 
-BOUND_BYTES = 2**20
-"""Tensors from this size on are read where they lie if that is always the same place; smaller ones are copied."""
-
-COPY_EVERY = 16
-"""Replays from one copy of large info that somebody holds to the next; between them such a call is plain."""
-
-MANY_PAIRS = 2**20
-"""From so many pairs on the time of their sort counts, and it is of the whole room."""
-
-SPARE_OF_MANY = 1.03125
-"""Room over so many pairs, as a factor, until a replay had more: then the views differ, and it is ``SPARE``."""
-
 MEMORY_SHARE = 1 / 24
 """Part of the device's memory that the captured calls of a function may keep."""
 
@@ -81,63 +69,16 @@ class Counts(NamedTuple):
     """Signatures that could not be captured."""
 
 
-class _Signature:
-    """What is known of the calls of one signature."""
-
-    def __init__(self, device: torch.device) -> None:
-        self.device = device
-        with torch.inference_mode(False):  # it will count outside that mode, too
-            self.needed = PairCapacity(device)
-        self.seen = 0
-        self.refused = False
-        self.info_is_large = False
-        self.info_copied_at = -COPY_EVERY
-        self.has_outgrown = False
-        self.places: list[int] = []
-        self.moving: set[int] = set()
-        self.free: list[CapturedCall] = []
-        self.captured: list[weakref.ref[CapturedCall]] = []
-        self.bytes = 0
-        self.replays = 0
-        self.used = 0
-        self.behind: frozenset[int] = frozenset()
-
-    def note_places(self, call: Call) -> None:
-        """Note where the tensors of a call lie."""
-        places = [tensor.data_ptr() if tensor.is_contiguous() else 0 for tensor in call.tensors]
-        self.moving |= {i for i, (now, then) in enumerate(zip(places, self.places)) if now != then or now == 0}
-        self.places = places
-
-    def bound(self, call: Call) -> list[bool]:
-        """Which tensors are read where they lie."""
-        return [one.nbytes >= BOUND_BYTES and i not in self.moving for i, one in enumerate(call.tensors)]
-
-    def may_copy_info(self) -> bool:
-        """Whether large info that is held is copied now, so that one who holds it for long holds no replays up."""
-        may = self.replays - self.info_copied_at >= COPY_EVERY
-        if may:
-            self.info_copied_at = self.replays
-        return may
-
-    def most(self) -> tuple[int, int]:
-        """Pairs, and Gaussians with pairs, that were seen at most."""
-        return int(self.needed.most.max()), int(self.needed.most_listed.max())
-
-    def spare(self, pairs: int) -> float:
-        """Room over so many pairs, as a factor."""
-        return SPARE if self.has_outgrown or pairs < MANY_PAIRS else SPARE_OF_MANY
-
-    def drop(self) -> None:
-        """Let go of what was captured; what is in flight goes when it is done."""
-        self.free, self.captured, self.bytes, self.seen = [], [], 0, 0
-
-
 class ReplayedCalls:
     """A function whose calls are replayed.
 
     Args:
         function: ``rasterization`` or ``rasterization_rgbt``.
         machine: What it runs on.
+
+    Attributes:
+        signatures: What is known of calls, by their signature.
+        turn: Held by the thread that learns or captures.
     """
 
     def __init__(self, function: Callable[..., Any], machine: Machine | None = None) -> None:
@@ -146,15 +87,15 @@ class ReplayedCalls:
         self._parameters = list(inspect.signature(function).parameters)
         self._serves, self._place = self._machine.serves, self._machine.place
         self._counts = [0] * len(Counts._fields)
-        self._turn = threading.Lock()
+        self.turn = threading.Lock()
         self.clear()
         _all.add(self)
 
     def clear(self) -> None:
         """Let go of everything that is kept."""
-        self._signatures: dict[Any, _Signature] = {}
+        self.signatures: dict[Any, KnownSignature] = {}
         self._seen_at_least = SEEN
-        self._last: _Signature | None = None
+        self._last: KnownSignature | None = None
         self._clock = 0
 
     @property
@@ -167,7 +108,7 @@ class ReplayedCalls:
         call = call_of(arguments, options, self._place) if self._serves() else None
         if call is None:
             return self._plain(arguments, options)
-        signature = self._signatures.get(call.key)
+        signature = self.signatures.get(call.key)
         if signature is None or not signature.captured:
             return self._learned(call, arguments, options)
         free = signature.free
@@ -205,11 +146,11 @@ class ReplayedCalls:
         outgrown: CapturedCall | None = None,
     ) -> Any:
         """A plain call, of which is noted what a capture needs; the last before that is followed by it."""
-        turn = self._turn
+        turn = self.turn
         if not turn.acquire(blocking=False):
             return self._plain(arguments, options)
         try:
-            signature = self._signatures.get(call.key)
+            signature = self.signatures.get(call.key)
             if signature is None:
                 signature = self._noted(call, arguments, options)
             signature.captured = [one for one in signature.captured if one() is not None]
@@ -234,14 +175,14 @@ class ReplayedCalls:
         finally:
             turn.release()
 
-    def _noted(self, call: Call, arguments: Sequence[Any], options: Mapping[str, Any]) -> _Signature:
+    def _noted(self, call: Call, arguments: Sequence[Any], options: Mapping[str, Any]) -> KnownSignature:
         """A signature that was not seen before."""
-        if len(self._signatures) >= NOTED:
-            known = self._signatures
+        if len(self.signatures) >= NOTED:
+            known = self.signatures
             oldest = min(known, key=lambda key: (bool(known[key].captured), known[key].used))
             self._machine.wait(known[oldest].device)
             del known[oldest]
-        signature = self._signatures[call.key] = _Signature(call.tensors[0].device)
+        signature = self.signatures[call.key] = KnownSignature(call.tensors[0].device)
         names = names_of_tensors(self._parameters, arguments, options)
         signature.behind = frozenset(i for i, name in enumerate(names) if name == "backgrounds")
         signature.refused = is_never_replayed(self._parameters, arguments, options) or not all(
@@ -255,7 +196,7 @@ class ReplayedCalls:
         signature.used = self._clock
         return signature
 
-    def _capture(self, signature: _Signature, subject: Subject, result: Any) -> None:
+    def _capture(self, signature: KnownSignature, subject: Subject, result: Any) -> None:
         """Captures a call, if that pays and there is memory."""
         signature.seen = 0
         device, bound = signature.device, signature.bound(subject.call)
@@ -283,18 +224,18 @@ class ReplayedCalls:
         self._counts[1] += 1
         self._make_room(signature)
 
-    def _weigh(self, signature: _Signature) -> None:
+    def _weigh(self, signature: KnownSignature) -> None:
         """Wait longer before a capture where the last one has not paid."""
         last, self._last = self._last, signature
         if last is not None and last is not signature:
             unpaid = last.replays < PAYS
             self._seen_at_least = min(2 * self._seen_at_least, SEEN_AT_MOST) if unpaid else SEEN
 
-    def _make_room(self, newest: _Signature) -> None:
+    def _make_room(self, newest: KnownSignature) -> None:
         """Let go of the least recently used ones that are too many, or keep too much memory."""
         most = MEMORY_SHARE * self._machine.memory(newest.device)[1]
         while True:
-            kept = [one for one in self._signatures.values() if one.captured]
+            kept = [one for one in self.signatures.values() if one.captured]
             if sum(one.bytes for one in kept) <= most and len(kept) <= SIGNATURES:
                 return
             self._machine.wait(newest.device)
@@ -340,8 +281,8 @@ _left_by_parent: list[Any] = []
 def _after_fork() -> None:
     """A child process has no CUDA device: it neither uses nor destroys what its parent captured."""
     for calls in _all:
-        _left_by_parent.append(calls._signatures)
-        calls._turn = threading.Lock()
+        _left_by_parent.append(calls.signatures)
+        calls.turn = threading.Lock()
         calls.clear()
 
 

@@ -77,7 +77,6 @@ class Formation(nn.Module):
         common: What it shares with those of the other spectra.
 
     Args:
-        spectrum: Which one.
         common: What it shares with those of the other spectra.
     """
 
@@ -162,14 +161,9 @@ class Formation(nn.Module):
         """
         return None
 
-    def decoded(self, features: Tensor | None, view: "ViewTensors | None" = None) -> Tensor | None:
-        """What the scene's decoder makes of features for this spectrum alone; None: nothing.
-
-        Args:
-            features: As of ``decoder_input``.
-            view: As of ``decoder_input``.
-        """
-        inputs, decoder = self.decoder_input(features, view), self.common.decoder
+    def decoded(self, features: Tensor | None) -> Tensor | None:
+        """What the scene's decoder makes of features for this spectrum alone; None: nothing."""
+        inputs, decoder = self.decoder_input(features, None), self.common.decoder
         return None if inputs is None or decoder is None else decoder.image(self.name, inputs)
 
     def render(self, blended: Blended, decoded: Tensor | None) -> Tensor:
@@ -313,7 +307,6 @@ def image_terms(
         first: The first latent channel that stands for its image.
         rendered: The render.
         view: The view with its image.
-        settings: The spectrum's.
         weights: Those of all spectra.
 
     Returns:

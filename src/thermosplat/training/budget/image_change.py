@@ -23,9 +23,7 @@ class ImageChange:
     """The images of a model as it is now, to compare later ones with.
 
     Args:
-        model: The scene.
         frames: The frames to look at; their renders are kept on the device.
-        sh_degree: Degree of the spherical harmonics in use.
         losses: With it the channels that its losses compare with images count as images too.
     """
 

@@ -27,7 +27,6 @@ def noise_floors(
     """The squared errors below which views are not fitted: with ``--budget auto``.
 
     Args:
-        config: The whole configuration.
         facts: The noise of each spectrum's training images.
         share: Of its variance.
 

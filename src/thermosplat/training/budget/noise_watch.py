@@ -37,7 +37,6 @@ class NoiseWatch:
     Args:
         noise: By spectrum, the squared error below which no view is fitted, more than 0.
         num_frames: Training frames.
-        device: Where steps run.
 
     Attributes:
         floors: By spectrum, the squared errors below which the frames are not fitted, [num_frames] float32.
@@ -61,6 +60,19 @@ class NoiseWatch:
         self.held: tuple[str, ...] = ()
         self.teachers: dict[str, Teacher] = {}
         self.over = False
+
+    @classmethod
+    def of_checkpoint(cls, checkpoint: Checkpoint, num_frames: int, device: torch.device) -> "NoiseWatch":
+        """The watch of a checkpoint that has one; arguments as of the class.
+
+        Raises:
+            KeyError, ValueError, UserError: As of ``load_state_dict`` and ``load_teachers``.
+        """
+        saved = checkpoint.training.noise_watch or {}
+        watch = cls(saved["noise"], num_frames, device)
+        watch.load_state_dict(saved)
+        watch.load_teachers(saved, checkpoint)
+        return watch
 
     def measured_anew(self, noise: Mapping[str, float]) -> None:
         """Let floors follow the noise of the images as they are now: a resumed run may have them smaller.

@@ -66,7 +66,6 @@ def drop_offsets(gaussians: Gaussians, spectrum: str, optimizers: Optimizers, dr
     Args:
         gaussians: A set with offsets.
         spectrum: The spectrum whose offsets they are.
-        optimizers: Its optimizers.
         dropped: Mask [N].
     """
     name = offsets_name(spectrum)

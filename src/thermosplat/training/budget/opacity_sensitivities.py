@@ -33,9 +33,7 @@ def opacity_sensitivities(
     """Sums over pixels of squared derivatives of the images with respect to opacities.
 
     Args:
-        model: The scene.
         frames: The training frames.
-        sh_degree: Degree of the spherical harmonics in use.
         weights: What a squared change of an image counts, by spectrum.
         deterministic: As the rasterizer's: the same bits at every call.
 
@@ -72,7 +70,6 @@ def offset_effects(gaussians: Gaussians, spectrum: str, sensitivities: Tensor) -
 
     Args:
         gaussians: A set with a second opacity in that spectrum.
-        spectrum: The spectrum.
         sensitivities: The set's opacities', shape [1 + S, N].
     """
     row = 1 + gaussians.second_opacities.index(spectrum)

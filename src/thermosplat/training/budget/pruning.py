@@ -54,7 +54,6 @@ def prune_sets(
 
     Args:
         gaussian_sets: The sets by name.
-        optimizers: Their optimizers.
         removed: Masks [N] by name of the set.
     """
     for name, mask in removed.items():

@@ -46,9 +46,7 @@ def drop_bands(
     """Set all coefficients above each Gaussian's needed degree to zero.
 
     Args:
-        model: The scene.
         frames: The training frames; gone through several times.
-        sh_degree: Degree in use.
         change: The images from before.
         tolerance: Largest change (``ImageChange.now``).
     """
@@ -67,7 +65,6 @@ def cheapest_degrees(distortions: Tensor, price: float) -> Tensor:
 
     Args:
         distortions: D of the degrees 0 to the highest, [degree + 1, N].
-        price: λ.
     """
     degrees = torch.arange(len(distortions), device=distortions.device)
     costs = distortions.double() + price * ((degrees + 1) ** 2 - 1)[:, None]
@@ -83,7 +80,6 @@ def color_changes(
         gaussians: The set.
         coefficients: Its spherical harmonics.
         views: The cameras.
-        sh_degree: Degree in use.
     """
     changes = gaussians.means.new_zeros(sh_degree + 1, len(gaussians))
     times_seen = gaussians.means.new_zeros(len(gaussians))

@@ -53,7 +53,6 @@ class Teacher:
 
         Args:
             name: The spectrum, of which the frame has a view.
-            frame: The frame.
             exposures: Of the training views; None: they have none. The teacher's image is as the training has them
                 now, so that they are not learnt from it.
         """

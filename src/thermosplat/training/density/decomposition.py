@@ -75,7 +75,7 @@ class DecomposingStrategy(DefaultStrategy):
         return super()._grow(gaussians, optimizers, generator)
 
     def _divide(self, gaussians: Gaussians, optimizers: Optimizers) -> None:
-        divided = self._conflicting(gaussians)
+        divided = self.conflicting(gaussians)
         if not divided.any():
             return
         rows, others = torch.where(divided)[0], len(self.opacities) - 1
@@ -93,7 +93,7 @@ class DecomposingStrategy(DefaultStrategy):
     def _follow(self, rows: Tensor) -> None:
         self._spared = self._spared[rows]
 
-    def _conflicting(self, gaussians: Gaussians) -> Tensor:
+    def conflicting(self, gaussians: Gaussians) -> Tensor:
         """Mask of the Gaussians that all spectra see and two pull apart; where room is scarce, the farthest. [N]."""
         views = self.observations.clamp(min=1.0)
         pairs = itertools.combinations(self.gradient_sums, 2)

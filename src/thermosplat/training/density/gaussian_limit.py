@@ -24,7 +24,6 @@ def with_limit(config: TrainConfig, capture: Capture, noisy: Sequence[str]) -> t
     images of 1297x840 that is the million which gsplat's trainer has for Mip-NeRF 360.
 
     Args:
-        config: The whole configuration.
         capture: Its training frames, of the size that is trained with.
         noisy: The spectra whose images are noisy.
 

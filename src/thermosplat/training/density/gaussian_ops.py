@@ -62,7 +62,6 @@ def clone(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor) -> Non
 
     Args:
         gaussians: The Gaussians, N of them.
-        optimizers: Their optimizers.
         selected: Boolean, shape [N].
     """
     append_copies(gaussians, optimizers, torch.where(selected)[0])
@@ -74,7 +73,6 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
 
     Args:
         gaussians: The Gaussians, N of them.
-        optimizers: Their optimizers.
         indices: int64, shape [n].
     """
     number = len(next(gaussians.parameters()))
@@ -86,8 +84,6 @@ def copy_onto(gaussians: nn.Module, optimizers: Optimizers, replaced: Tensor, so
     """Let Gaussians become copies of others. All moments of both start again from zero.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         replaced: Indices of those that become copies, int64, shape [n].
         sources: Indices of those they become copies of, none of them replaced itself, int64, shape [n].
     """
@@ -103,8 +99,6 @@ def clear_moments(
     """Let Adam forget what it knows of some Gaussians.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         indices: Which, int64, shape [n], or boolean, shape [N].
         names: Of these parameters alone. None: of all.
     """
@@ -124,7 +118,6 @@ def grow(
 
     Args:
         gaussians: The Gaussians, N of them. What is left of them comes first, then the copies, then the halves.
-        optimizers: Their optimizers.
         cloned: Boolean, shape [N].
         halved: Boolean, shape [N].
         generator: Draws the new means; a CPU generator, so that every device draws the same.
@@ -153,7 +146,6 @@ def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None
 
     Args:
         gaussians: The Gaussians, N of them.
-        optimizers: Their optimizers.
         removed: Boolean, shape [N].
     """
     kept = torch.where(~removed)[0]
@@ -166,7 +158,6 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
 
     Args:
         gaussians: The Gaussians to replace.
-        optimizers: Their optimizers.
         source: Gaussians with parameters of the same names.
     """
     copied = dict(source.named_parameters())
@@ -185,8 +176,6 @@ def in_new_basis(gaussians: nn.Module, optimizers: Optimizers, name: str, into: 
     Adam's means of gradients are turned exactly, their mean squares as if the gradients' numbers were independent.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         name: The parameter, shape [N, d].
         into: What its rows are multiplied by, shape [d, r].
         basis: Orthonormal columns, shape [d, r]; coordinates times its transpose are vectors again.
@@ -210,8 +199,6 @@ def reset_opacities(gaussians: nn.Module, optimizers: Optimizers, max_opacity: f
     stays as faint in it. Moments of all of them start again from zero.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         max_opacity: In (0, 1).
     """
     parameters = dict(gaussians.named_parameters())
@@ -288,8 +275,6 @@ def replace_parameters(
     """Replace parameters and what their optimizers know of them.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         replacements: By name, the parameter and its moments; none where nothing is known.
     """
     parameters = dict(gaussians.named_parameters())

@@ -38,7 +38,6 @@ class DefaultStrategy:
         config: Schedule and thresholds.
         scene_extent: Radius of the cameras [world units]; what "large" is measured against.
         num_gaussians: Gaussians in the set.
-        device: Where they are.
         span: The steps that train the set; the schedule counts from its start. None: all steps.
         spectra: The spectra that the set renders, in order.
     """

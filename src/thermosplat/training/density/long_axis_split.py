@@ -41,8 +41,6 @@ def split_onto(
     """Let Gaussians become the second halves of others. All moments of both start again from zero.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         moved: Indices of those that become second halves, shape [n].
         sources: Indices of those that are split, all different, none of them moved itself, shape [n].
         apart: d of the halves' distance, in (0, ``SPLIT_APART_MOST``].
@@ -58,8 +56,6 @@ def split(gaussians: Gaussians, optimizers: Optimizers, sources: Tensor, apart: 
     """Let Gaussians become two, of which the second is appended.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         sources: Indices of those that are split, all different, shape [n].
         apart: d of the halves' distance, in (0, ``SPLIT_APART_MOST``].
         least: Opacity below which none is lowered.

@@ -22,8 +22,6 @@ def relocate(gaussians: Gaussians, optimizers: Optimizers, moved: Tensor, source
     """Move Gaussians onto others, which share their opacity with them. All moments of both start again from zero.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         moved: Indices of those that move, shape [n].
         sources: Indices of those they move to, none of them moved itself; repeated ones share with several. [n].
         least: Opacity below which none is lowered.
@@ -37,8 +35,6 @@ def add(gaussians: Gaussians, optimizers: Optimizers, sources: Tensor, least: fl
     """Append Gaussians in the places of others, which share their opacity with them.
 
     Args:
-        gaussians: The Gaussians.
-        optimizers: Their optimizers.
         sources: Indices of those that are doubled; repeated ones become more. [n].
         least: Opacity below which none is lowered.
     """
@@ -66,7 +62,6 @@ def lower_opacities(gaussians: Gaussians, indices: Tensor, lowered: Callable[[Te
     """Lower every opacity of some Gaussians, each by itself.
 
     Args:
-        gaussians: The Gaussians.
         indices: Which, int64, shape [n].
         lowered: What becomes of opacities in [0, 1], float64, shape [n].
         least: Opacity below which none falls that was not there.

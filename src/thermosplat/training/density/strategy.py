@@ -87,8 +87,6 @@ class Strategy(Protocol):
 
         Args:
             gaussians: The set.
-            optimizers: Its optimizers.
-            step: The step.
             generator: Draws what is random, on the CPU.
 
         Returns:
@@ -103,7 +101,6 @@ class Strategy(Protocol):
 
         Args:
             gaussians: The set.
-            optimizers: Its optimizers.
             blocked: Scalar, 1 where this step must change nothing.
             generator: For what is random, on the Gaussians' device.
         """
@@ -136,7 +133,6 @@ class StrategyType(Protocol):
             config: Schedule and thresholds.
             scene_extent: Radius of the cameras [world units]; what "large" is measured against.
             num_gaussians: Gaussians in the set.
-            device: Where they are.
             span: The steps that train the set; the schedule counts from its start. None: all steps.
             spectra: The spectra that the set renders, in order.
         """

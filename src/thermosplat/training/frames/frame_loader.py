@@ -117,6 +117,7 @@ class FrameLoader:
     Attributes:
         processes: As given.
         waited: Time that was spent waiting for frames to be read [s].
+        reading: The processes that read; None: there are none now.
     """
 
     def __init__(self, frames: Sequence[Stored], processes: int, pinned_for: torch.device | None = None) -> None:
@@ -126,7 +127,7 @@ class FrameLoader:
         self._frames, self._pinned_for = frames, pinned_for
         self._slots: FrameSlots | None = None
         self._pixels: list[Tensor] = []
-        self._reading: ReadingProcesses | None = None
+        self.reading: ReadingProcesses | None = None
         self._asked: deque[ReadFrame] = deque()
         self._in_work: dict[int, ReadFrame] = {}
         self._free: list[int] = []
@@ -136,7 +137,6 @@ class FrameLoader:
         """The frame at a place of an order; those of the next places are read meanwhile.
 
         Args:
-            place: The place.
             order: Index of the frame at each place. It may change: then what was read ahead is read anew.
             end: One beyond the last place.
 
@@ -171,7 +171,7 @@ class FrameLoader:
             place: As of ``at``.
             order: As of ``at``.
         """
-        if self._reading is None:
+        if self.reading is None:
             return False
         self._hear(wait=False)
         return self._is_next(place, order) and self._asked[0].done and self._asked[0].lost is None
@@ -200,7 +200,7 @@ class FrameLoader:
 
     def close(self) -> None:
         """End the processes that read; the next call starts others. No frame is used any more."""
-        reading, self._reading = self._reading, None
+        reading, self.reading = self.reading, None
         slots, self._slots = self._slots, None
         for held in (self._asked, self._in_work, self._free, self._pixels):
             held.clear()
@@ -217,7 +217,7 @@ class FrameLoader:
 
     def _begin(self, place: int, order: Callable[[int], int], end: int) -> None:
         """Read in an order from now on."""
-        if self._reading is None:
+        if self.reading is None:
             self._start()
         else:
             self._forget_order()
@@ -241,7 +241,7 @@ class FrameLoader:
         maps = SharedMaps.of([frame for frame in self._frames if not all(p.is_kept for p in frame.values())])
         for pixels in maps.stored if maps.kept else ():
             pixels.prepare()  # once, for all processes that are forked now
-        self._reading = ReadingProcesses(self._frames, slots, self.processes, keep_maps=maps.kept)
+        self.reading = ReadingProcesses(self._frames, slots, self.processes, keep_maps=maps.kept)
         if self._pinned_for is not None:
             slots.pin(self._pinned_for)  # after the fork, which leaves pinned memory out
         self._pixels = [torch.from_numpy(slots[slot]) for slot in range(count)]
@@ -276,6 +276,6 @@ class FrameLoader:
 
     @property
     def _of_reading(self) -> ReadingProcesses:
-        if self._reading is None:
+        if self.reading is None:
             raise ValueError("No process reads.")
-        return self._reading
+        return self.reading

@@ -26,9 +26,7 @@ class FramesFromDisk:
     """The frames, each made when it is asked for. Images that are bytes stay bytes (``with_unit_images``).
 
     Args:
-        frames: The frames.
         scales: The capture's, by spectrum.
-        device: Where the tensors go.
         memory: What images may take in the host's memory [bytes].
 
     Attributes:
@@ -152,7 +150,6 @@ class FrameCopies:
         """The frame at a place of an order, for work on the current stream.
 
         Args:
-            place: The place.
             order: Index of the frame at each place.
             end: One beyond the last place.
         """

@@ -25,7 +25,6 @@ def start_stream(generator: torch.Generator, seed: int, purpose: str, index: int
     """Let a generator, on any device, start the stream that ``random_stream`` names; each device draws its own numbers.
 
     Args:
-        generator: The generator.
         seed: As of ``random_stream``.
         purpose: As of ``random_stream``.
         index: As of ``random_stream``.

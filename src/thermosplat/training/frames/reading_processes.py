@@ -68,6 +68,9 @@ class ReadingProcesses:
         slots: Where they go.
         count: How many processes.
         keep_maps: Keep what a lens needs from one frame to the next.
+
+    Attributes:
+        processes: They.
     """
 
     def __init__(
@@ -79,9 +82,9 @@ class ReadingProcesses:
         ours = (self._asking, self._answers)
         work = _Work(frames, slots, self._asked, self._answering, ours, os.getpid(), keep_maps)
         context = get_context("fork")  # what the frames and the lenses need is there, and shared
-        self._processes = [context.Process(target=work.run, daemon=True) for _ in range(count)]
+        self.processes = [context.Process(target=work.run, daemon=True) for _ in range(count)]
         with held_stop_signals():  # until each has decided what they are to it
-            for process in self._processes:
+            for process in self.processes:
                 process.start()
         self._asked.setblocking(False)
 
@@ -106,7 +109,7 @@ class ReadingProcesses:
             RuntimeError: One failed, by a mistake of the program.
         """
         if wait:
-            ready = connection.wait([self._answers, *(process.sentinel for process in self._processes)])
+            ready = connection.wait([self._answers, *(process.sentinel for process in self.processes)])
             if self._answers not in ready:
                 raise _ENDED
         while True:
@@ -124,7 +127,7 @@ class ReadingProcesses:
         for end in (self._asking, self._asked):
             end.close()  # nobody asks any more: each of them ends
         until = time.monotonic() + _TO_END_S
-        for process in self._processes:
+        for process in self.processes:
             process.join(max(until - time.monotonic(), 0.0))
             if process.is_alive():
                 process.kill()

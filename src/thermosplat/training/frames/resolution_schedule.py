@@ -12,7 +12,6 @@ def image_factor(config: TrainConfig, step: int) -> float:
     """What the sides of the training images are divided by in a step; 1.0 at full size.
 
     Args:
-        config: The whole configuration.
         step: The step, from 1.
     """
     return next((factor for factor, end in _stages(config) if step <= end), 1.0)

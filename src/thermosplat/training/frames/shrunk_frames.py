@@ -37,7 +37,6 @@ class ShrunkFrames:
         """Tensors of the frame at a place of an order, as ``TrainFrames.at``.
 
         Args:
-            place: The place.
             order: Index of the frame at each place.
             end: One beyond the last place.
             factor: What the sides of images are divided by. What was kept of another factor goes.

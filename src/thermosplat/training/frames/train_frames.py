@@ -38,7 +38,9 @@ class TrainFrames:
     Args:
         capture: The capture. Frames without a view that the model renders are left out.
         spectra: Names of the spectra that are modelled; frames hold no others.
-        device: Where the tensors go.
+
+    Attributes:
+        room: Bytes that further frames may fill.
 
     Raises:
         UserError: If no frame is left, or images may take less memory than a frame needs.
@@ -54,7 +56,7 @@ class TrainFrames:
         if capture.on_disk is not None:
             self.from_disk = FramesFromDisk(self.frames, capture.scales, device, capture.on_disk.memory)
         self._cache: dict[int, FrameTensors] = {}
-        self._budget = _CACHED_SHARE * _free_bytes(device)
+        self.room = _CACHED_SHARE * free_bytes(device)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -80,16 +82,15 @@ class TrainFrames:
 
     def reserve(self, size: int) -> bool:
         """Whether there is memory to keep so many bytes more, which is then taken; less than 0 gives some back."""
-        if size > self._budget:
+        if size > self.room:
             return False
-        self._budget -= size
+        self.room -= size
         return True
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> FrameTensors:
         """Packed tensors of the frame at a place of an order. Images may be bytes, which a step makes floats of.
 
         Args:
-            place: The place.
             order: Index of the frame at each place.
             end: One beyond the last place.
         """
@@ -147,7 +148,8 @@ class SomeFrames(Sequence[FrameTensors]):
         return self._frames[self._indices[place]]
 
 
-def _free_bytes(device: torch.device) -> int:
+def free_bytes(device: torch.device) -> int:
+    """Memory that is free: of the GPU, or of the machine where training runs on the CPU; 0: nobody knows."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
     for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
@@ -186,7 +188,6 @@ def set_span(name: str, config: TrainConfig) -> Span:
 
     Args:
         name: A spectrum's name for its own set; anything else is trained by every step.
-        config: The whole configuration.
     """
     return spectrum_spans(config).get(name, Span(0, config.max_steps))
 

@@ -37,7 +37,6 @@ class CheckpointWriter:
         When the block ends, everything lies in the host's memory: training changes tensors in place.
 
         Args:
-            path: The file.
             state: Its content; no parameters (``meanwhile`` says why).
         """
         with deferred_interrupts():  # a thread that was interrupted while it was started would not be waited for

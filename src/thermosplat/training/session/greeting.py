@@ -12,7 +12,6 @@ def greeting(training: Training, notes: Sequence[str]) -> list[str]:
     """On what is trained, how much of it there is, and where the results go.
 
     Args:
-        training: The training.
         notes: What is to be said before that.
 
     Returns:

@@ -52,7 +52,6 @@ def share_to_go_on_from(config: TrainConfig, capture: Capture, run: RunDirectory
     Args:
         config: What the command asks for.
         capture: What it would be trained on.
-        run: The run.
         team: The ranks; one alone has all.
 
     Raises:

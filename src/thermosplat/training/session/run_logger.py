@@ -29,8 +29,8 @@ from thermosplat.runs.run_directory import RunDirectory, finite_or_null
 from thermosplat.runs.written_files import TENSORBOARD_SUFFIX
 from thermosplat.spectra import measured_error
 
-_REFRESH_SECONDS = 0.25  # of the live line
-_COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
+REFRESH_SECONDS = 0.25  # of the live line
+COMPILING_AFTER_SECONDS = 3.0  # a first step that takes longer than this is compiling kernels
 LATE_BY = 4
 """Steps that a GPU is given before the line of a step is written."""
 
@@ -108,7 +108,6 @@ class RunLogger:
         Args:
             run: Where the files go.
             config: What is done.
-            device: Its device.
             speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
         """
         if speaks:
@@ -154,7 +153,7 @@ class RunLogger:
     def compiling(self) -> Iterator[None]:
         """Around the first step: say what takes so long, if it does take long."""
         message = "compiling kernels (first run only, about a minute) ..."
-        timer = threading.Timer(_COMPILING_AFTER_SECONDS, self.say, [message])
+        timer = threading.Timer(COMPILING_AFTER_SECONDS, self.say, [message])
         timer.daemon = True
         timer.start()
         try:
@@ -179,7 +178,7 @@ class RunLogger:
         if self._late is not None and (due or record.step >= self._late.step + LATE_BY):
             self._report_late()
         now = time.perf_counter()
-        if not due and (now - self._refreshed < _REFRESH_SECONDS or not self._has_live_line):
+        if not due and (now - self._refreshed < REFRESH_SECONDS or not self._has_live_line):
             return
         self._refreshed = now
         if due or self.device.type == "cpu":
@@ -256,12 +255,12 @@ class RunLogger:
         parts = [f"{self.scene}step {record.step:,}/{self.max_steps:,}"]
         if self._rate > 0:
             eta = (self.max_steps - record.step + self.steps_of_others) / self._rate
-            parts.append(f"{self._rate:.1f} it/s  ETA {_clock(eta)}")
+            parts.append(f"{self._rate:.1f} it/s  ETA {duration(eta)}")
         for name in [name for name in self._values if name.startswith("psnr_")]:
             spectrum = name.removeprefix("psnr_")
             held_out = f" (held-out {self.held_out[spectrum]:.2f})" if spectrum in self.held_out else ""
             parts.append(f"{spectrum} {self._values[name]:.2f} dB{held_out}")
-        parts.append(f"{record.num_gaussians:,} Gaussians  {_memory_bytes(self.device) / 2**30:.1f} GiB")
+        parts.append(f"{record.num_gaussians:,} Gaussians  {memory_bytes(self.device) / 2**30:.1f} GiB")
         if self._values:
             terms = " ".join(
                 f"{name} {value:.4f}" for name, value in self._values.items() if not name.startswith("psnr_")
@@ -283,7 +282,7 @@ class RunLogger:
             "num_gaussians": record.num_gaussians,
             "sh_degree": record.sh_degree,
             "train_seconds": record.train_seconds,
-            "memory_bytes": _memory_bytes(self.device),
+            "memory_bytes": memory_bytes(self.device),
         }
         self._append(entry)
         self._tensorboard_scalars(
@@ -311,14 +310,14 @@ class RunLogger:
             self.say(f"TensorBoard files are written no further: {error.strerror or error}.")
 
 
-def _memory_bytes(device: torch.device) -> int:
+def memory_bytes(device: torch.device) -> int:
     """Peak memory: torch's on the GPU, the process's on the CPU."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024  # Linux counts in KiB
 
 
-def _clock(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A duration as 1:02:03 or 2:03."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)

@@ -100,8 +100,8 @@ class RunResults:
 
     def lack_evaluation(self) -> bool:
         """Whether the step done, one in the middle of the run, was to be evaluated and was not."""
-        step = self._state.step
-        due = 0 < step < self._config.max_steps and step in self._config.eval_steps and not self._state.is_preliminary
+        step, config = self._state.step, self._config
+        due = 0 < step < config.max_steps and step in config.eval_steps and not self._state.preliminaries.under_way
         return due and not (self._run.stats / f"step_{step:06d}.json").is_file()
 
     def evaluate(self, *, at_the_end: bool = False) -> Judged:

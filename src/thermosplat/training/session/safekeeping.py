@@ -57,7 +57,7 @@ class Safekeeping:
             training: With Adam's moments; without them it can be rendered.
         """
         own = self.checkpoint_of(self._state)
-        return whole_checkpoint(self._team, self._state, own, training=training and not self._state.trimmed)
+        return whole_checkpoint(self._team, self._state, own, training=training and not self._state.budget.trimmed)
 
     def checkpoint_of(self, state: TrainingState) -> Checkpoint:
         """The checkpoint of a state, this rank's or one of all ranks."""
@@ -184,7 +184,7 @@ class Safekeeping:
             saved,
             self._run.resume_command(),
             can_offload=training.scenes.could_offload,
-            scenes=training.config.scenes if state.scenes_left > 0 else 1,
+            scenes=training.config.scenes if state.preliminaries.scenes_left > 0 else 1,
         )
 
 

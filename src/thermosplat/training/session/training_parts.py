@@ -77,7 +77,9 @@ class Training:
         schedule = SpectrumSchedule(config, frames)
         scenes = NewScenes(config, capture, team)
         state = TrainingState(scenes.first(checkpoint), config, capture, device)
-        state.keep_moments_on_device(scenes.offloading.rows_on_device or {})
+        for name, number in (scenes.offloading.rows_on_device or {}).items():
+            for optimizer in state.row_optimizers(name):
+                optimizer.rows_on_device = number
         if checkpoint is not None:
             state.load(checkpoint)
         count_anew(team, state)

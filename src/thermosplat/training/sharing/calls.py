@@ -42,7 +42,6 @@ def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Cal
 
     Args:
         frames: The groups of the frames of the first ranks; the others have none.
-        team: The ranks.
         like: Any float tensor on the device.
     """
     groups = dict.fromkeys(group for frame in frames for group in frame)

@@ -33,11 +33,9 @@ def refine(
     """Add and remove Gaussians of a set that may be divided, or reset opacities, as ``Strategy.refine``.
 
     Args:
-        team: The ranks.
         state: This rank's.
         name: The set.
         config: The strategy's.
-        step: The step.
         generator: Draws what is random, on the CPU.
 
     Raises:
@@ -89,9 +87,7 @@ class _StandIn:
     """On rank 0 all Gaussians of a set, large parameters and moments as numbers of rows; and what became of them.
 
     Args:
-        team: The ranks.
         gaussians: This rank's.
-        optimizers: Their optimizers.
         counts: Gaussians of each rank.
     """
 

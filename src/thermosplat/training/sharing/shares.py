@@ -17,6 +17,7 @@ from thermosplat.runs.checkpoint_file import on_host
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.packed_parameters import pack
+from thermosplat.training.budget.progress import BudgetProgress
 from thermosplat.training.density.gaussian_ops import replace_parameters
 from thermosplat.training.optimizers import load_optimizer
 from thermosplat.training.training_state import TrainingState
@@ -33,7 +34,6 @@ def keep_share(model: SceneModel, team: Team) -> None:
 
     Args:
         model: A model that no optimizer knows yet.
-        team: The ranks.
     """
     for name in model.gaussian_sets if team.size > 1 else ():
         gaussians = model.gaussians(name)
@@ -135,7 +135,6 @@ def whole_checkpoint(team: Team, state: TrainingState, own: Checkpoint, *, train
     """The checkpoint of all ranks together, in rank 0's host memory; None on the other ranks.
 
     Args:
-        team: The ranks.
         state: This rank's.
         own: This rank's checkpoint (``TrainingState.checkpoint``).
         training: With Adam's moments, twice the size of the model.
@@ -179,7 +178,6 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
     """Go on from a checkpoint of the same step with other Gaussians, in place.
 
     Args:
-        team: The ranks.
         state: This rank's state.
         checkpoint: This rank's share.
     """
@@ -198,7 +196,7 @@ def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
         state.strategies[name].load_state_dict((checkpoint.training.strategies or {})[name])
     state.model.formations.load_state_dict(model.formations.state_dict())
     training = checkpoint.training
-    state.load_budget(training)
+    state.budget = BudgetProgress.of_checkpoint(training)
     if training.noise_watch is not None and state.noise_watch is not None:
         state.noise_watch.load_state_dict(training.noise_watch)
     for strategy in state.strategies.values():

@@ -31,7 +31,7 @@ def stages_of(
     stages: list[Stage] = []
     if config.resolution.factors:
         stages.append(ImageSizes(training))
-    if state.finds_cameras:
+    if state.preliminaries.find_cameras:
         stages.append(CameraStage(training, beginnings.start_anew))
     if any(spectrum.swept_depth > 0 for spectrum in config.modelled.values()):
         stages.append(SweptDepthsStage(training))

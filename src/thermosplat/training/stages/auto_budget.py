@@ -18,7 +18,7 @@
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import torch
@@ -30,6 +30,7 @@ from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.spectra import label, listed
 from thermosplat.training.budget.feature_channels import reduce_features
 from thermosplat.training.budget.image_change import ImageChange
+from thermosplat.training.budget.looked_at_views import more_than_one_in, spread, validation_views
 from thermosplat.training.budget.noise_watch import NoiseWatch
 from thermosplat.training.budget.offset_shrinkage import drop_offsets, idle_offsets, offset_spectra
 from thermosplat.training.budget.opacity_sensitivities import offset_effects, opacity_sensitivities, removal_effects
@@ -43,8 +44,6 @@ from thermosplat.training.frames.train_frames import CorrectedFrames, SomeFrames
 from thermosplat.training.out_of_memory import is_out_of_memory
 from thermosplat.training.training_state import TrainingState
 
-WITHHELD_ONE_IN = 10
-"""At most one in so many of a spectrum's training views is withheld while Gaussians are added. Open choice."""
 WATCHED_ONE_IN = 20
 """Where more than one in so many are withheld, views are few: a capture misses each of them, unless images are noisy.
 Open choice."""
@@ -54,7 +53,6 @@ class AutoBudget:
     """What ``--budget auto`` does between the steps of a run.
 
     Args:
-        config: The whole configuration.
         state: Model, optimizers and density control.
         frames: The training frames.
         schedule: Which of them the steps take.
@@ -87,11 +85,11 @@ class AutoBudget:
         self._having = [
             [index for index, frame in enumerate(frames.frames) if name in frame.views] for name in state.model.spectra
         ]
-        self.validation = _validation_views(self._having, tolerances.validation_views)
-        self._withholds_many = _more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
+        self.validation = validation_views(self._having, tolerances.validation_views)
+        self._withholds_many = more_than_one_in(WATCHED_ONE_IN, self.validation, self._having)
         self._prune_steps = {max(1, round(share * config.max_steps)) for share in self.settings.prune_at}
         self._last_removal = max(self._prune_steps, default=0)
-        if not state.growing:  # a resumed run whose growth has ended
+        if not state.budget.growing:  # a resumed run whose growth has ended
             self._stop_strategies()
         schedule.withhold(self.validation if self.withholds() else ())
 
@@ -108,49 +106,39 @@ class AutoBudget:
 
         Args:
             step: The step done.
-            sh_degree: Degree of the spherical harmonics in use.
         """
         if self._validates_at(step):
-            self._validate(step, sh_degree)
+            self.validate(step, sh_degree)
         is_last = step == self._last_removal
         if is_last or self._growth_is_over(step):
             self._stop_growing()
-        if self.prunes_at(step) and not self.state.growing:  # a short run may have far to grow after its first share
-            self.state.budget_due = ("prune", "drop_offsets", "reduce_features") if is_last else ("prune",)
+        # a short run may have far to grow after its first share
+        if self.prunes_at(step) and not self.state.budget.growing:
+            self.state.budget.due = ("prune", "drop_offsets", "reduce_features") if is_last else ("prune",)
         self.do_what_is_due(sh_degree)
 
     def do_what_is_due(self, sh_degree: int) -> None:
-        """Leave out what is to be left out after the step done. What memory is too small for stays due in a checkpoint.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
-        actions = {"prune": self._prune, "drop_offsets": self.drop_offsets, "reduce_features": self.reduce_features}
-        while self.state.budget_due:
-            first, *others = self.state.budget_due
+        """Leave out what is due after the step done. What memory is too small for stays due in a checkpoint."""
+        actions = {"prune": self.prune, "drop_offsets": self.drop_offsets, "reduce_features": self.reduce_features}
+        while self.state.budget.due:
+            first, *others = self.state.budget.due
             actions[first](sh_degree)
-            self.state.budget_due = tuple(others)
+            self.state.budget.due = tuple(others)
 
     def finish(self, sh_degree: int) -> None:
-        """Drop what is not needed once training is over, all of it or nothing; again only after further steps.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
-        if self.state.trimmed:
-            return
+        """Drop what is not needed once training is over, all of it or nothing; again only after further steps."""
         model, tolerances = self.state.model, self.tolerances
         with kept_on_failure(model.gaussian_sets.parameters()):
             change = self.images(sh_degree)
             if not change.not_learnt:
                 drop_bands(model, self.frames, sh_degree, change, tolerances.sh_change)
                 round_to_half(model, self.images(sh_degree), tolerances.rounding_change)
-        self.state.trimmed = True
+        self.state.budget.trimmed = True
 
     def withholds(self) -> bool:
         """Whether some training views are withheld after the steps done."""
         watch = self.state.noise_watch
-        return bool(self.validation) and (self.state.growing or (watch is not None and not watch.over))
+        return bool(self.validation) and (self.state.budget.growing or (watch is not None and not watch.over))
 
     @property
     def _few_views(self) -> bool:
@@ -170,7 +158,7 @@ class AutoBudget:
     def _growth_is_over(self, step: int) -> bool:
         """Whether density control adds nothing any more although nobody has stopped it."""
         state = self.state
-        if not state.growing:
+        if not state.budget.growing:
             return False
         return all(
             strategy.has_ended(step) or strategy.is_full(state.gaussian_sets[name])
@@ -178,7 +166,8 @@ class AutoBudget:
         )
 
     @torch.no_grad()
-    def _validate(self, step: int, sh_degree: int) -> None:
+    def validate(self, step: int, sh_degree: int) -> None:
+        """Look at the withheld views: note who is better than ever, and stop growth that brings nothing more."""
         state, settings = self.state, self.settings
         found: dict[str, list[float]] = {}
         for index in self.validation:
@@ -193,13 +182,13 @@ class AutoBudget:
             teacher = partial(self._teacher, sh_degree)
             loss, patience = self.tolerances.spectrum_loss, self.tolerances.spectrum_looks * settings.validate_every
             state.noise_watch.judge(step, means, loss, patience, teacher, noisy_only=not self._watches_falls)
-        if not state.growing:
+        if not state.budget.growing:
             self._release()
             return
         value = sum(map(sum, found.values())) / max(sum(map(len, found.values())), 1)
-        best, best_step = state.best_validation
+        best, best_step = state.budget.best_validation
         if value > best + self.tolerances.least_gain or not math.isfinite(best):
-            state.best_validation = (value, step)
+            state.budget.best_validation = (value, step)
         elif step - best_step >= self.tolerances.growth_looks * settings.validate_every:
             self._stop_growing()
 
@@ -215,7 +204,7 @@ class AutoBudget:
             return None
 
     def _stop_growing(self) -> None:
-        self.state.growing = False
+        self.state.budget.growing = False
         self._stop_strategies()
         self._release()
 
@@ -253,7 +242,6 @@ class AutoBudget:
         """What each Gaussian is worth to the training images, [N] by name of the set.
 
         Args:
-            sh_degree: Degree of the spherical harmonics in use.
             change: Some of the images as they are now.
         """
         model = self.state.model
@@ -268,13 +256,9 @@ class AutoBudget:
             state.strategies[name].forget(len(state.gaussian_sets[name]))
 
     def drop_offsets(self, sh_degree: int) -> None:
-        """Make those opacity offsets zero, for good, that the training images do not miss.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
+        """Make those opacity offsets zero, for good, that the training images do not miss."""
         state = self.state
-        state.offsets_dropped = True
+        state.budget.offsets_dropped = True
         if not any(map(offset_spectra, state.gaussian_sets.values())):
             return
         change = self.images(sh_degree)
@@ -288,11 +272,7 @@ class AutoBudget:
                 drop_offsets(gaussians, spectrum, state.optimizers[name], dropped)
 
     def reduce_features(self, sh_degree: int) -> None:
-        """Leave as few latent channels as the training images, and the losses on channels, need.
-
-        Args:
-            sh_degree: Degree of the spherical harmonics in use.
-        """
+        """Leave as few latent channels as the training images, and the losses on channels, need."""
         state = self.state
         if not state.model.has_features:
             return
@@ -305,13 +285,13 @@ class AutoBudget:
         """Some training images as they are now.
 
         Args:
-            sh_degree: Degree of the spherical harmonics in use.
             losses: As ``ImageChange``'s.
         """
-        looked_at = _spread(self._having, self.tolerances.measured_views)
+        looked_at = spread(self._having, self.tolerances.measured_views)
         return ImageChange(self.state.model, SomeFrames(self.frames, looked_at), sh_degree, losses)
 
-    def _prune(self, sh_degree: int) -> None:
+    def prune(self, sh_degree: int) -> None:
+        """Remove the Gaussians that the training images do not miss; none of a scene that is not learnt."""
         change = self.images(sh_degree)
         if change.not_learnt:
             self._say(
@@ -336,28 +316,3 @@ class AutoBudget:
             )
         deterministic = self.config.deterministic
         return opacity_sensitivities(self.state.model, self.frames, sh_degree, weights, deterministic=deterministic)
-
-
-def _validation_views(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
-    """As ``_spread``, frames to withhold; none where that would be too many of those of a spectrum."""
-    chosen = _spread(having, count)
-    return () if _more_than_one_in(WITHHELD_ONE_IN, chosen, having) else chosen
-
-
-def _more_than_one_in(number: int, chosen: Sequence[int], having: Sequence[Sequence[int]]) -> bool:
-    """Whether the chosen frames are more than one in so many of those that have some spectrum."""
-    return any(number * len(set(chosen).intersection(indices)) > len(indices) for indices in having)
-
-
-def _spread(having: Sequence[Sequence[int]], count: int) -> tuple[int, ...]:
-    """Indices of ``count`` frames of each spectrum, spread over all that have it; one frame may serve several.
-
-    Args:
-        having: Indices of the frames that have each spectrum. Captures whose cameras take turns have no frame of two.
-        count: At most.
-    """
-    chosen: set[int] = set()
-    for indices in having:
-        number = min(count, len(indices))
-        chosen.update(indices[round((i + 0.5) * len(indices) / number - 0.5)] for i in range(number))
-    return tuple(sorted(chosen))

@@ -56,7 +56,7 @@ class BudgetStage(Stage):
 
     def acts_at(self, step: int) -> bool:
         """Where something may change."""
-        return not self.training.state.finds_cameras and self.plan.acts_at(step)
+        return not self.training.state.preliminaries.find_cameras and self.plan.acts_at(step)
 
     def after(self, step: int, kind: StepKind) -> None:
         """Validate, stop growth or prune."""
@@ -66,12 +66,12 @@ class BudgetStage(Stage):
 
     def leave(self) -> None:
         """Leave out what memory was too small for."""
-        if self.training.state.budget_due:
+        if self.training.state.budget.due:
             self._do(lambda budget: budget.do_what_is_due(self.training.sh_degree))
 
     def finish(self) -> None:
         """Drop what is not needed any more."""
-        if not self.training.state.trimmed:
+        if not self.training.state.budget.trimmed:
             self._do(lambda budget: budget.finish(self.training.sh_degree))
 
     def _do(self, work: Callable[[AutoBudget], None]) -> None:

@@ -35,6 +35,7 @@ class CameraStage(Stage):
     def __init__(self, training: Training, start_anew: Callable[[str], None]) -> None:
         super().__init__(training)
         self._start_anew = start_anew
+        self._passes = training.state.preliminaries
         self.steps = min(training.config.refine_first, training.config.max_steps)
         """Steps of a pass."""
         self.start = training.config.refine_rounds_from
@@ -43,23 +44,23 @@ class CameraStage(Stage):
 
     def notes(self) -> tuple[str, ...]:
         """How long it takes."""
-        passes = self.training.state.camera_passes
+        passes = self._passes.camera_passes
         said = f"The cameras are found first: {passes} times {self.steps:,} steps, and each time a new scene."
         return (said,) if passes > 0 else ()
 
     def before(self, step: int, kind: StepKind) -> StepKind:
         """Let the first spectrum alone shape the scene, on images of the pass."""
-        if not self.training.state.finds_cameras:
+        if not self._passes.find_cameras:
             return kind
         return replace(kind, geometry_held=True, image_factor=self._image_factor)
 
     def rates(self, rates: OptimizerConfig) -> OptimizerConfig:
         """Learn the scene fast."""
-        return self._rates if self.training.state.finds_cameras else rates
+        return self._rates if self._passes.find_cameras else rates
 
     def acts_at(self, step: int) -> bool:
         """Where a round is due, or a pass ends."""
-        return self.training.state.finds_cameras and (self._has_round(step) or step >= self.steps)
+        return self._passes.find_cameras and (self._has_round(step) or step >= self.steps)
 
     def after(self, step: int, kind: StepKind) -> None:
         """Do the round that is due, if one is."""
@@ -74,8 +75,7 @@ class CameraStage(Stage):
 
     def leave(self) -> None:
         """Start anew after a pass."""
-        state = self.training.state
-        if state.finds_cameras and state.step >= self.steps:
+        if self._passes.find_cameras and self.training.state.step >= self.steps:
             self._start_anew("The scene starts anew with the cameras that were found.")
 
     def _has_round(self, step: int) -> bool:
@@ -94,7 +94,7 @@ class CameraStage(Stage):
     @property
     def _number(self) -> int:
         """The pass under way, from 0."""
-        return len(PASSES) - self.training.state.camera_passes
+        return len(PASSES) - self._passes.camera_passes
 
 
 class _FramesOfSize:

@@ -15,14 +15,15 @@ class DensityStage(Stage):
     def before(self, step: int, kind: StepKind) -> StepKind:
         """Note gradients for the next refinement."""
         state = self.training.state
-        if state.finds_cameras or not any(strategy.is_active(step) for strategy in state.strategies.values()):
+        is_active = any(strategy.is_active(step) for strategy in state.strategies.values())
+        if state.preliminaries.camera_passes or not is_active:
             return kind
         return replace(kind, densifying=True)
 
     def acts_at(self, step: int) -> bool:
         """Where a strategy refines or resets."""
         state = self.training.state
-        return not state.finds_cameras and any(
+        return not state.preliminaries.camera_passes and any(
             strategy.refines_at(step) or strategy.resets_at(step) for strategy in state.strategies.values()
         )
 
@@ -34,5 +35,5 @@ class DensityStage(Stage):
             training.steps.forget()
         for name, strategy in due.items():
             strategy.most = most_gaussians(training.config, kind.image_factor)
-            random = random_stream(state.seed, "split", step)
+            random = random_stream(state.preliminaries.seed, "split", step)
             refine(training.team, state, name, training.config.densification, step, random)

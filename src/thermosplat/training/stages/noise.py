@@ -24,7 +24,7 @@ class NoiseStage(Stage):
             state.noise_watch.measured_anew(floors)
         elif floors:
             state.noise_watch = NoiseWatch(floors, len(training.frames), training.team.device)
-            if not state.growing:
+            if not state.budget.growing:
                 state.noise_watch.end()
 
     def before(self, step: int, kind: StepKind) -> StepKind:

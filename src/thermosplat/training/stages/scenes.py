@@ -57,7 +57,7 @@ class Beginnings:
             kept: As of ``start_anew``.
         """
         config, state = self._training.config, self._training.state
-        start = of_passes(config) if state.camera_passes > 1 else config
+        start = of_passes(config) if state.preliminaries.camera_passes > 1 else config
         model = self._training.scenes.made(replace(start, seed=seed_of_scene(config.seed, len(kept))))
         if kept:
             model.formations.load_state_dict(state.model.formations.state_dict())
@@ -66,7 +66,7 @@ class Beginnings:
 
     def begin_scene(self) -> None:
         """Take the frames in the scene's order, and withhold those that it withholds."""
-        self._training.schedule.shuffle(self._training.state.seed)
+        self._training.schedule.shuffle(self._training.state.preliminaries.seed)
         for stage in self.stages:
             stage.begin_scene()
 
@@ -80,27 +80,27 @@ class SceneStage(Stage):
 
     def begin_scene(self) -> None:
         """Let lines say which scene it is."""
-        config, state, logger = self.training.config, self.training.state, self.training.logger
-        trained = len(state.kept_scenes)
-        logger.scene = f"scene {trained + 1} of {config.scenes}: " if state.scenes_left > 0 else ""
-        logger.steps_of_others = max(state.scenes_left - 1, 0) * steps_of_scene(config)
+        config, scenes, logger = self.training.config, self.training.state.preliminaries, self.training.logger
+        number, left = len(scenes.kept_scenes) + 1, scenes.scenes_left
+        logger.scene = f"scene {number} of {config.scenes}: " if left > 0 else ""
+        logger.steps_of_others = max(left - 1, 0) * steps_of_scene(config)
 
     def rates(self, rates: OptimizerConfig) -> OptimizerConfig:
         """Leave decoders as they are: scenes that become one have the same ones."""
-        return replace(rates, decoders_lr=0.0) if self.training.state.kept_scenes else rates
+        return replace(rates, decoders_lr=0.0) if self.training.state.preliminaries.kept_scenes else rates
 
     def acts_at(self, step: int) -> bool:
         """Where the scene under way is one of several, and as far as it comes by itself."""
-        state = self.training.state
-        return state.scenes_left > 0 and not state.finds_cameras and step >= steps_of_scene(self.training.config)
+        scenes = self.training.state.preliminaries
+        return scenes.scenes_left > 0 and not scenes.find_cameras and step >= steps_of_scene(self.training.config)
 
     def leave(self) -> None:
         """Keep the scene and start another one, or let all become one. Until that is done the state is as it was."""
         training, state, scenes = self.training, self.training.state, self.training.config.scenes
         if not self.acts_at(state.step):
             return
-        kept = [*state.kept_scenes, self._scene_to_keep()]
-        if state.scenes_left > 1:
+        kept = [*state.preliminaries.kept_scenes, self._scene_to_keep()]
+        if state.preliminaries.scenes_left > 1:
             said = f"Scene {len(kept)} of {scenes} is trained; the next one starts anew."
             self._beginnings.start_anew(said, kept)
             return
@@ -108,7 +108,7 @@ class SceneStage(Stage):
         with deferred_interrupts():
             training.steps.forget(kernels=True)
             state.take(sets)
-            state.kept_scenes, state.scenes_left = [], 0
+            state.preliminaries.end()
             count_anew(training.team, state)
             self._beginnings.begin_scene()
         training.say(f"All {scenes} scenes become one of {training.state.all_gaussians:,} Gaussians.")

@@ -34,7 +34,6 @@ def agreed_depths(views: Sequence[SweptView], depths: Sequence[Tensor]) -> list[
     """Depths of views after all rounds, [H, W] each, 0 where too few agree.
 
     Args:
-        views: The views.
         depths: Their z-depths, [H, W] each [world units], 0 where unknown.
     """
     place = {id(one): i for i, one in enumerate(views)}

@@ -99,7 +99,6 @@ def neighbors(view: SweptView, others: Sequence[SweptView], most: int) -> list[S
     """The nearest of other views that look about the same way.
 
     Args:
-        view: The view.
         others: The others; the view itself may be among them.
         most: So many at most.
     """
@@ -114,7 +113,6 @@ def swept_depths(view: SweptView, others: Sequence[SweptView], points: Tensor) -
     """z-depths [H, W] of a view [world units], 0 where fewer than ``FEWEST`` other views show what it shows.
 
     Args:
-        view: The view.
         others: Views of the same spectrum, of any size.
         points: The scene's sparse points, [P, 3] [world units], which say between which depths to search.
     """

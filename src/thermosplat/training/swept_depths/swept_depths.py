@@ -72,7 +72,6 @@ class SweptDepths:
 
         Args:
             frames: The training frames.
-            config: The whole configuration.
             points: The scene's sparse points, [P, 3] [world units].
             say: Tells the user what is done and found, or why nothing is.
             all_can: Whether all processes of the training can, asked by each that can or cannot: none sweeps alone.

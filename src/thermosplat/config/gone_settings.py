@@ -1,6 +1,6 @@
-"""Settings that have another name today, or that there are no more: old configuration files and checkpoints are read.
+"""Settings that there are no more: configuration files and checkpoints that have them are read.
 
-``NEW_NAMES`` and ``GONE`` also tell thermosplat-train what to say where a command line has an old flag.
+``GONE`` also tells thermosplat-train what to say where a command line has such a flag.
 """
 
 from collections.abc import Callable
@@ -10,33 +10,6 @@ from typing import Any
 from thermosplat.config.values import shown
 from thermosplat.errors import UserError
 from thermosplat.spectra import NOISY_SENSOR
-
-NEW_NAMES = {
-    "thermal.source": "spectra.thermal.source",
-    "thermal.unit": "spectra.thermal.unit",
-    "thermal.range_celsius": "spectra.thermal.range",
-    "thermal.palette": "spectra.thermal.palette",
-    "thermal.aligned": "spectra.thermal.aligned",
-    "model.thermal_opacity": "spectra.thermal.opacity",
-    "model.thermal_start": "spectra.thermal.start",
-    "schedule.thermal_from": "spectra.thermal.train_from",
-    "schedule.rgb_until": "spectra.rgb.train_until",
-    "loss.rgb": "spectra.rgb.loss",
-    "loss.thermal": "spectra.thermal.loss",
-    "loss.features_rgb": "spectra.rgb.features",
-    "loss.features_thermal": "spectra.thermal.features",
-    "loss.thermal_smoothness": "spectra.thermal.smoothness",
-    "loss.thermal_smoothness_noise": "spectra.thermal.smoothness_noise",
-    "loss.thermal_smoothness_least": "spectra.thermal.smoothness_least",
-    "loss.thermal_charbonnier": "spectra.thermal.charbonnier",
-    "decoder.hybrid_rgb": "decoder.hybrid",
-    "decoder.rgb_head_bias": "decoder.hybrid_bias",
-    "optimizer.thermal_opacity_offsets_lr": "optimizer.opacity_offsets_lr",
-    "optimizer.thermal_opacities_lr": "optimizer.own_opacities_lr",
-    "optimizer.thermal_sh0_lr": "optimizer.sh0_lr",
-    "optimizer.thermal_shN_lr": "optimizer.shN_lr",
-}
-"""Dotted name of a setting by the one it had in version 0.1."""
 
 
 @dataclass(frozen=True)
@@ -126,15 +99,14 @@ def gone(name: str) -> Gone | None:
     """What became of a setting; None where there is one of that name, or never was.
 
     Args:
-        name: Its dotted name, today's or that of version 0.1.
+        name: Its dotted name.
     """
-    name = NEW_NAMES.get(name, name)
     first, _, rest = name.partition(".")
     return GONE.get(f"spectra.*.{rest.partition('.')[2]}" if first == "spectra" else name)
 
 
-def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] | None = None) -> dict[str, Any]:
-    """A configuration's plain values under today's names, without settings that there are no more.
+def without_gone_settings(values: dict[str, Any], *, source: str, notes: list[str] | None = None) -> dict[str, Any]:
+    """A configuration's plain values without settings that there are no more.
 
     Args:
         values: Nested dictionaries, from any version.
@@ -143,7 +115,7 @@ def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] |
             something else than what is done today. None: nothing is trained yet, and such a setting is a mistake.
 
     Returns:
-        The same where every name is today's. A value that is there under both names is today's.
+        The same where every setting is one of today's.
 
     Raises:
         UserError: A setting that there is no more asks for something else than what is done today.
@@ -153,10 +125,6 @@ def with_todays_names(values: dict[str, Any], *, source: str, notes: list[str] |
         found = _taken(values, old)
         if found is not _MISSING and not change(values, found):
             _put(values, old, found)  # it never had such a value: reading the file names the key
-    for old, new in NEW_NAMES.items():
-        found = _taken(values, old)
-        if found is not _MISSING:
-            _put(values, new, found)
     for by_noise in _named(values, "spectra.*.by_noise"):
         _say_by_noise(values, by_noise)
     for name, of_name in GONE.items():
@@ -202,48 +170,6 @@ Change = Callable[[dict[str, Any], Any], bool]
 """Takes the values and an old value out of them, sets today's; returns whether it is a value that there was."""
 
 
-def _modelled(name: str) -> Change:
-    def change(values: dict[str, Any], modelled: Any) -> bool:
-        without = values.setdefault("without", [])
-        if modelled is False and isinstance(without, list) and name not in without:
-            values["without"] = [*without, name]
-        return isinstance(modelled, bool)
-
-    return change
-
-
-def _decoupled(values: dict[str, Any], decoupled: Any) -> bool:
-    stored = _taken(values, "model.thermal_opacity")
-    if decoupled is False:
-        _put(values, "spectra.thermal.opacity", "shared")
-    else:
-        _put(values, "spectra.thermal.opacity", "offset" if stored is _MISSING else stored)
-    return isinstance(decoupled, bool)
-
-
-def _decomposed(values: dict[str, Any], threshold: Any) -> bool:
-    if threshold is None:
-        _put(values, "densification.strategy", "default")
-        return True
-    _put(values, "densification.conflict_threshold", threshold)
-    if values["densification"].get("strategy", "default") == "default":
-        values["densification"]["strategy"] = "decomposing"
-    return True
-
-
-def _exposed(values: dict[str, Any], exposed: Any) -> bool:
-    if exposed is True:
-        for spectrum in ("rgb", "thermal"):
-            _put(values, f"spectra.{spectrum}.exposure", "affine")
-    return isinstance(exposed, bool)
-
-
-def _enabled(values: dict[str, Any], enabled: Any) -> bool:
-    if enabled is False:
-        values.setdefault("densification", {})["stop_step"] = 0
-    return isinstance(enabled, bool)
-
-
 def _reset(values: dict[str, Any], opacity: Any) -> bool:
     densification = values.get("densification", {})
     pruned = densification.get("prune_opacity") if isinstance(densification, dict) else None
@@ -258,13 +184,7 @@ def _same_rate(values: dict[str, Any], rate: Any) -> bool:
 _CHANGES: dict[str, Change] = {
     "optimizer.opacity_offsets_lr": _same_rate,
     "optimizer.own_opacities_lr": _same_rate,
-    "densification.enabled": _enabled,
     "densification.reset_opacity": _reset,
-    "model.exposures": _exposed,
-    "model.rgb": _modelled("rgb"),
-    "model.thermal": _modelled("thermal"),
-    "model.geometric_decoupling": _decoupled,
-    "densification.decompose_threshold": _decomposed,
 }
 """Settings whose values say something else today, or the same as another one."""
 
