@@ -50,7 +50,7 @@ def test_place_of_the_capture(run: Run, tmp_path: Path, monkeypatch: pytest.Monk
         ([], "No folder given"),
         (["pair", "{}"], "no capture that thermosplat-prepare import has finished"),
         (["check", "{}"], "no capture that thermosplat-prepare import has finished"),
-        (["import", "{}", "--thermal", "{}"], "folder of the photographs is missing"),
+        (["import", "--thermal", "{}", "--out", "{}/made"], "folder of the photographs is missing"),
         (["import", "--rgb", "{}", "--further", "nir"], "--further nir is not NAME=DIR"),
         (["import", "{}", "--every", "0"], "--every must be at least 1"),
         (["import", "{}", "--unit", "rankine"], "--unit rankine is not known"),

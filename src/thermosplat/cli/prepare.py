@@ -31,6 +31,7 @@ class PrepareArguments(files.SourceArguments):
     Examples:
       thermosplat-prepare data/shed
       thermosplat-prepare --rgb data/shed/photos --thermal data/shed/flir --out captures/shed
+      thermosplat-prepare data/day --thermal data/night
     """
 
     debug: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -78,7 +79,7 @@ def _prepare(arguments: PrepareArguments) -> int:
         from thermosplat.prepare.pairing.pairing import pair_frames
 
     capture = capture_at(root)
-    say("pair", pair_frames(capture))
+    say("pair", pair_frames(capture, "none" if arguments.of_another_hour else "auto"))
     cameras.find_cameras(capture)
     say("check", check(capture))
     say_next("train", capture)

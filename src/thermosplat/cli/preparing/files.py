@@ -27,7 +27,8 @@ class SourceArguments:
     rgb: str | None = None
     """Folder of the photographs. None: they are found by names, sizes and what the files hold."""
     thermal: str | None = None
-    """Folder of the thermal files. None: they are found likewise."""
+    """Folder of the thermal files. None: they are found likewise. With FOLDER in place of --rgb, they are of another
+    hour than its photographs, and are not paired."""
     further: tuple[str, ...] = ()
     """Folders of further spectra, such as nir=data/shed/nir."""
     unit: str | None = None
@@ -58,6 +59,11 @@ class SourceArguments:
     degrees. None: they are refused."""
 
     @property
+    def of_another_hour(self) -> bool:
+        """Whether thermal images have no photographs of their moments."""
+        return bool(self.folder and self.thermal and not self.rgb)
+
+    @property
     def capture_folder(self) -> str:
         """Where the capture is written.
 
@@ -78,7 +84,7 @@ class SourceArguments:
         Raises:
             UserError: A further spectrum is not written as NAME=DIR, or thermal files are named without photographs.
         """
-        named = {"rgb": self.rgb, "thermal": self.thermal}
+        named = {"rgb": self.folder if self.of_another_hour else self.rgb, "thermal": self.thermal}
         for words in self.further:
             name, sign, place = words.partition("=")
             if not (sign and name and place) or name in named:
@@ -102,9 +108,10 @@ class ImportArguments(SourceArguments):
 class PairArguments(CaptureArguments):
     """Find which thermal image was taken with which photograph."""
 
-    by: Literal["auto", "name", "number", "time", "order"] = "auto"
+    by: Literal["auto", "name", "number", "time", "order", "none"] = "auto"
     """How images are paired: names that agree but for the camera, the last number in the names, the time with a
-    constant difference between the clocks, or the order of the names. auto: the first that pairs nearly all."""
+    constant difference between the clocks, or the order of the names. auto: the first that pairs nearly all. none:
+    thermal images are of another hour, and find their own places."""
 
 
 @dataclass(frozen=True)

@@ -162,7 +162,7 @@ def _counts(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Finding]:
     if any(one.spectrum == OTHER for one in rows):
         if pairs:
             found.append(Finding("fact", f"{counted(len(pairs), 'pair')}."))
-        else:
+        elif not capture.pairs_csv.exists():
             found.append(Finding("warning", f"No pairs yet: thermosplat-prepare pair {capture.root}"))
         if 0 < len(pairs) < _FEW_PAIRS:
             found.append(

@@ -21,7 +21,7 @@ from thermosplat.prepare.pairing.clock_offset import find_clock_offset
 from thermosplat.prepare.pairing.file_names import folder_key, is_named_by_time, name_key, name_time, number_key
 from thermosplat.prepare.steps import StepReport, require_step, run_step
 
-Rule = Literal["auto", "name", "number", "time", "order"]
+Rule = Literal["auto", "name", "number", "time", "order", "none"]
 Pairs = list[tuple[FrameRow, FrameRow]]
 _ENOUGH = 0.8
 """Share of the rarer spectrum's images that a rule must pair to be taken without being asked for."""
@@ -35,7 +35,7 @@ def pair_frames(capture: CaptureFolder, rule: Rule = "auto") -> StepReport:
 
     Args:
         capture: An imported capture.
-        rule: How images are paired; "auto" takes the first rule that pairs nearly all.
+        rule: How images are paired; "auto" takes the first rule that pairs nearly all, "none" pairs none.
 
     Returns:
         Which rule was used and why, and what is left over.
@@ -59,6 +59,9 @@ def _pair(capture: CaptureFolder, rule: Rule) -> list[str]:
     if not thermals:
         capture.write_pairs([])
         return ["There are no thermal images, so there is nothing to pair."]
+    if rule == "none":
+        capture.write_pairs([])
+        return ["Thermal images have no partners: each finds its own place among the photographs."]
     pairs, sentences = _by_rule(photographs, thermals, rule)
     capture.write_pairs([PairRow(photograph.file, thermal.file) for photograph, thermal in pairs])
     for what, rows in (("photograph", photographs), ("thermal image", thermals)):

@@ -28,7 +28,7 @@ pixels of an image that is 320 px wide: in larger images they are larger, in sma
 The lens follows when the direction is about right: with all unknowns from the start, wrong matches bend it."""
 LEAST_SLOPE = 0.25
 """Slope [contrasts per pixel] below which there is no edge."""
-_WIDTH = 320
+USUAL_WIDTH = 320
 _FEWEST_MATCHES = 200
 _STEP = 0.5
 _MARGIN = 4
@@ -100,13 +100,13 @@ def align(
     """
     usual = RigCamera.looking_along(camera.width, camera.height, 1.0)
     information = prior_information(edges, camera)
-    finer = max(1.0, camera.width / _WIDTH)
+    finer = max(1.0, camera.width / USUAL_WIDTH)
     steps = [(names, (finer * reach, finer * scale)) for names, windows in stages for reach, scale in windows]
     deviations = np.zeros(len(UNKNOWNS))
     with progress_bar("alignment", len(steps)) as advance:
         for names, (reach, scale) in steps:
             free = np.array([UNKNOWNS.index(name) for name in names])
-            points, offsets, normals = _matches(camera, edges, slopes, reach)
+            points, offsets, normals = matches(camera, edges, slopes, reach)
             if len(points) < _FEWEST_MATCHES:
                 return Alignment(camera, np.full(len(UNKNOWNS), np.inf), {})
             rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
@@ -126,8 +126,8 @@ def align(
 
 def edge_information(camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> Array:
     """[11, 11] what the matches of a camera that is aligned say of all unknowns, by the scatter of their residuals."""
-    reach, scale = (max(1.0, camera.width / _WIDTH) * value for value in STAGES[-1][1][-1])
-    points, offsets, normals = _matches(camera, edges, slopes, reach)
+    reach, scale = (max(1.0, camera.width / USUAL_WIDTH) * value for value in STAGES[-1][1][-1])
+    points, offsets, normals = matches(camera, edges, slopes, reach)
     rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
     weights = 1 / (1 + (offsets / scale) ** 2) ** 2
     scatter = (weights * offsets**2).sum() / max(weights.sum(), 1e-9)
@@ -143,7 +143,7 @@ def prior_information(edges: EdgePoints, camera: RigCamera) -> Array:
     return 1 / spreads**2
 
 
-def _projected(camera: RigCamera, edges: EdgePoints) -> tuple[NDArray[np.int64], Array, Array]:
+def projected(camera: RigCamera, edges: EdgePoints) -> tuple[NDArray[np.int64], Array, Array]:
     """Which points lie inside the image, their pixels, and the unit normals of their edges there."""
     pixels, depth = camera.project(edges.points)
     ends, end_depth = camera.project(edges.along)
@@ -156,7 +156,7 @@ def _projected(camera: RigCamera, edges: EdgePoints) -> tuple[NDArray[np.int64],
     return chosen, pixels[chosen], normals
 
 
-def _profiles(
+def slopes_across(
     edges: EdgePoints,
     chosen: NDArray[np.int64],
     pixels: Array,
@@ -175,13 +175,13 @@ def _profiles(
     return profiles
 
 
-def _matches(
+def matches(
     camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]], reach: float
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Edge points that find an edge: their numbers, its offset [px] along the normal, and the normal."""
-    chosen, pixels, normals = _projected(camera, edges)
+    chosen, pixels, normals = projected(camera, edges)
     offsets = np.arange(-reach, reach + _STEP / 2, _STEP)
-    profiles = _profiles(edges, chosen, pixels, normals, slopes, offsets)
+    profiles = slopes_across(edges, chosen, pixels, normals, slopes, offsets)
     nearby = profiles * np.exp(-((offsets / reach) ** 2))
     peak = nearby[:, 1:-1].argmax(1) + 1
     row = np.arange(len(chosen))
@@ -194,10 +194,10 @@ def _matches(
 
 def _meetings(camera: RigCamera, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> dict[int, Meeting]:
     """In each frame, edge points with a thermal edge within 1 px, and those 8 px aside."""
-    chosen, pixels, normals = _projected(camera, edges)
+    chosen, pixels, normals = projected(camera, edges)
     within = np.arange(-1, 1.1, _STEP)
     here, left, right = (
-        _profiles(edges, chosen, pixels, normals, slopes, within + away).max(1, initial=0) > LEAST_SLOPE
+        slopes_across(edges, chosen, pixels, normals, slopes, within + away).max(1, initial=0) > LEAST_SLOPE
         for away in (0, -8, 8)
     )
     frame = edges.frame[chosen]

@@ -20,14 +20,14 @@ from thermosplat.prepare.registration.stereo_edges import EdgePoints
 
 WORKING_WIDTH = 96
 """Width [px] at which edges are compared."""
-_FOCAL_LENGTHS = tuple(0.55 * 1.07**step for step in range(28))
+FOCAL_LENGTHS = tuple(0.55 * 1.07**step for step in range(28))
 """In image widths: from 85° to 18° of view."""
-_QUARTERS = (0.0, 90.0, 180.0, 270.0)
+QUARTERS = (0.0, 90.0, 180.0, 270.0)
 _ROLLS = (-6.0, -3.0, 0.0, 3.0, 6.0)
 _COARSE_FRAMES, _FINE_FRAMES = 8, 20
 _SATURATION = 0.1
 """Slope [contrasts per pixel] from which an edge counts fully."""
-_LEAST_COVERED = 0.05
+LEAST_COVERED = 0.05
 """Share of the edges' energy that must lie inside the thermal image for a correlation to count."""
 
 
@@ -57,13 +57,9 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
     height, width = slopes[0].shape[:2]
     best: list[Match] = []
     for mirrored in (False, True):
-        thermal = {frame: _edge_field(slopes[frame], mirrored) for frame in frames}
+        thermal = {frame: edge_field(slopes[frame], mirrored) for frame in frames}
         coarse = max(
-            (
-                _best_shift(edges, thermal, width, height, f * width, angle)
-                for f in _FOCAL_LENGTHS
-                for angle in _QUARTERS
-            ),
+            (_best_shift(edges, thermal, width, height, f * width, angle) for f in FOCAL_LENGTHS for angle in QUARTERS),
             key=lambda found: found[0],
         )
         best.append(Match(coarse[0], coarse[1], mirrored))
@@ -74,7 +70,7 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
 def _refined(match: Match, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> Match:
     """The match on more frames, with small turns about the optical axis."""
     frames = _spread(np.unique(edges.frame), _FINE_FRAMES)
-    thermal = {frame: _edge_field(slopes[frame], match.mirrored) for frame in frames}
+    thermal = {frame: edge_field(slopes[frame], match.mirrored) for frame in frames}
     camera = match.camera
     quarter = np.degrees(np.arctan2(camera.rotation[1, 0], camera.rotation[0, 0]))
     trials = [
@@ -91,14 +87,16 @@ def _spread(frames: NDArray[np.int64], most: int) -> list[int]:
     return [int(frame) for frame in frames[np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int)]]
 
 
-def _edge_field(slopes: NDArray[np.float32], mirrored: bool) -> NDArray[np.complex64]:
-    """[h, w] edges at the working size: strength, and twice the angle of the normal."""
+def edge_field(
+    slopes: NDArray[np.float32], mirrored: bool = False, working_width: int = WORKING_WIDTH
+) -> NDArray[np.complex64]:
+    """[h, w] edges at a working width [px]: strength, and twice the angle of the normal."""
     if mirrored:
         slopes = thermal_edges.mirrored(slopes)
     strength = np.hypot(slopes[..., 0], slopes[..., 1])
     unit = (slopes[..., 0] + 1j * slopes[..., 1]) / np.maximum(strength, 1e-9)
     field = unit**2 * (strength**2 / (strength**2 + _SATURATION**2))
-    size = (WORKING_WIDTH, max(1, round(WORKING_WIDTH * slopes.shape[0] / slopes.shape[1])))
+    size = (working_width, max(1, round(working_width * slopes.shape[0] / slopes.shape[1])))
     parts = [
         cv2.resize(np.ascontiguousarray(part), size, interpolation=cv2.INTER_AREA) for part in (field.real, field.imag)
     ]
@@ -114,7 +112,7 @@ def _best_shift(
     angle: float,
 ) -> tuple[float, RigCamera]:
     """The shift that fits best for one focal length [px] and one turn [°] about the optical axis."""
-    camera = RigCamera.looking_along(width, height, focal_length, _turn(angle))
+    camera = RigCamera.looking_along(width, height, focal_length, turn_about_axis(angle))
     h, w = next(iter(thermal.values())).shape
     scale = w / width
     pad_h, pad_w = 2 * h, 2 * w
@@ -128,14 +126,14 @@ def _best_shift(
         thermal_energy += float((np.abs(field) ** 2).sum())
     window = np.fft.fft2(np.ones((h, w), np.float32), (pad_h, pad_w))
     inside = np.fft.ifft2(window * np.conj(np.fft.fft2(drawn_energy))).real
-    inside = np.maximum(inside, _LEAST_COVERED * drawn_energy.sum() + 1e-9)
+    inside = np.maximum(inside, LEAST_COVERED * drawn_energy.sum() + 1e-9)
     score = np.fft.ifft2(agreement).real / np.sqrt(inside * thermal_energy + 1e-9)
     y, x = np.unravel_index(score.argmax(), score.shape)
     # drawn fields have their axis in the middle of the padded image: a shift of (h, w) / 2 - pad / 2 is no rotation
     shift = np.array([(x + w) % pad_w - w + pad_w / 2 - w / 2, (y + h) % pad_h - h + pad_h / 2 - h / 2]) / scale
     shift = np.array([_wrapped(shift[0], pad_w / scale), _wrapped(shift[1], pad_h / scale)])
     towards = np.array([shift[0] / focal_length, shift[1] / focal_length, 1.0])
-    rotation = _rotation_between(np.array([0.0, 0.0, 1.0]), towards / np.linalg.norm(towards)) @ camera.rotation
+    rotation = rotation_between(np.array([0.0, 0.0, 1.0]), towards / np.linalg.norm(towards)) @ camera.rotation
     return float(score[y, x]), RigCamera.looking_along(width, height, focal_length, rotation)
 
 
@@ -164,12 +162,13 @@ def _wrapped(value: float, period: float) -> float:
     return (value + period / 2) % period - period / 2
 
 
-def _turn(degrees: float) -> Array:
+def turn_about_axis(degrees: float) -> Array:
+    """Rotation [3, 3] about the optical axis."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
 
 
-def _rotation_between(one: Array, other: Array) -> Array:
+def rotation_between(one: Array, other: Array) -> Array:
     """The smallest rotation that takes a unit vector to another."""
     axis = np.cross(one, other)
     sine = float(np.linalg.norm(axis))

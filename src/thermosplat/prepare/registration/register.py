@@ -7,7 +7,6 @@ alignment finds the one number that is left: the scale of the scene, which becom
 """
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,12 +15,11 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from thermosplat.datasets.images.image_files import read_image
 from thermosplat.errors import UserError
 from thermosplat.prepare.calibration.calibration_file import RigCalibration, read_calibration
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder
 from thermosplat.prepare.counted import agreeing, counted
-from thermosplat.prepare.progress import progress_bar
+from thermosplat.prepare.placing.place_step import place_unpaired
 from thermosplat.prepare.registration.edge_alignment import STAGES, Alignment, align
 from thermosplat.prepare.registration.edge_correlation import correlate
 from thermosplat.prepare.registration.rig_camera import RigCamera
@@ -29,6 +27,7 @@ from thermosplat.prepare.registration.rig_model import is_photograph, with_therm
 from thermosplat.prepare.registration.stated_error import edges_deviation, photographs_deviation
 from thermosplat.prepare.registration.stereo_edges import EdgePoints, photograph_edges
 from thermosplat.prepare.registration.thermal_edges import mirrored, slopes
+from thermosplat.prepare.registration.thermal_images import thermal_images
 from thermosplat.prepare.steps import StepReport, require_step, run_step
 from thermosplat.prepare.structure.sfm import write_model
 from thermosplat.prepare.structure.unregistered import some
@@ -88,6 +87,8 @@ def _register(capture: CaptureFolder) -> list[str]:
         )
     model = pycolmap.Reconstruction(capture.sparse)
     pairs = {row.rgb: row.thermal for row in capture.read_pairs()}
+    if not pairs:
+        return place_unpaired(capture, model)
     by_name = {
         image.name.removeprefix(f"{LEADING}/"): image
         for image in model.images.values()
@@ -102,7 +103,7 @@ def _register(capture: CaptureFolder) -> list[str]:
             f"Look at pairs.csv, and at what thermosplat-prepare sfm {capture.root} says.",
         )
     images = [by_name[name] for name in paired]
-    thermal = _thermal_images(capture, [pairs[name] for name in paired])
+    thermal = thermal_images(capture, [pairs[name] for name in paired])
     height, width = thermal[0].shape
     edges = photograph_edges(model, images, capture.root / "images", round(1.5 * width), EDGES_PER_FRAME)
     if len(edges.points) < _FEWEST_EDGES * len(images):
@@ -150,31 +151,6 @@ def _uncertainty(found: Alignment, by_edges: float, by_photographs: float) -> li
         f"{by_photographs:.1%} by the focal length of the photographs."
     )
     return [f"{said} {_DEPTH}" if by_photographs > _UNSURE else said]
-
-
-def _thermal_images(capture: CaptureFolder, names: Sequence[str]) -> list[NDArray[np.generic]]:
-    """The thermal images, of one size."""
-    read = []
-    with progress_bar("thermal images", len(names)) as advance:
-        for name in names:
-            path = capture.images(OTHER) / name
-            try:
-                image = read_image(path)
-            except UserError as error:
-                raise UserError(
-                    f"{path} is listed in pairs.csv and cannot be read. {error.message}",
-                    f"Import and pair again: thermosplat-prepare pair {capture.root}",
-                ) from error
-            read.append(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
-            advance(1)
-    sizes = Counter(image.shape[:2] for image in read)
-    if len(sizes) > 1:
-        stated = ", ".join(f"{count} of {width}x{height} px" for (height, width), count in sizes.most_common())
-        raise UserError(
-            f"The thermal images of {capture.root} have several sizes: {stated}. One camera has one size.",
-            "Prepare a capture for each camera, or leave those of the other size out of pairs.csv.",
-        )
-    return read
 
 
 def _fits(found: Alignment) -> bool:

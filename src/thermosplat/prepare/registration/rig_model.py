@@ -1,4 +1,7 @@
-"""The COLMAP model of both cameras: the photographs' model with the thermal camera added as a sensor of its rigs."""
+"""The COLMAP model of both cameras: the photographs' model with the thermal camera added.
+
+It is a sensor of the photographs' rigs where images are paired, and a rig of its own where they are not.
+"""
 
 from collections.abc import Mapping
 
@@ -18,7 +21,7 @@ def with_thermal(
     Args:
         model: Model whose rigs have a camera of the photographs each. Thermal images that it has already are left out.
         camera: The thermal camera beside the photographs'.
-        pairs: The thermal image of each photograph, both below their folders.
+        pairs: The thermal image of each photograph, both below their folders; without any there is no such camera.
 
     Returns:
         A model with ``rgb/...`` and ``thermal/...`` images; its points are those of the photographs.
@@ -31,10 +34,11 @@ def with_thermal(
     for number, photograph_camera in enumerate(sorted({image.camera_id for image in photographs})):
         made.add_camera(model.cameras[photograph_camera])
         lens.camera_id = thermal_id + number
-        made.add_camera(lens)
         rig = pycolmap.Rig(rig_id=photograph_camera)
         rig.add_ref_sensor(_sensor(photograph_camera))
-        rig.add_sensor(_sensor(lens.camera_id), camera.colmap_pose())
+        if pairs:
+            made.add_camera(lens)
+            rig.add_sensor(_sensor(lens.camera_id), camera.colmap_pose())
         made.add_rig(rig)
         sensors[photograph_camera] = _sensor(lens.camera_id)
     next_id = 1 + max(image.image_id for image in photographs)
@@ -63,6 +67,35 @@ def with_thermal(
         made.add_point3D_with_id(point_id, point)
         for element in point.track.elements:
             made.images[element.image_id].set_point3D_for_point2D(element.point2D_idx, point_id)
+    return made
+
+
+def with_unpaired(
+    model: pycolmap.Reconstruction, lens: RigCamera, places: Mapping[str, pycolmap.Rigid3d]
+) -> pycolmap.Reconstruction:
+    """The model of the photographs with thermal images of other moments.
+
+    Args:
+        model: As of ``with_thermal``.
+        lens: The thermal camera, whose pose does not count.
+        places: Poses by the images' files, world to camera.
+    """
+    made, camera = with_thermal(model, lens, {}), lens.colmap_camera()
+    camera.camera_id = rig_id = 1 + max(made.cameras)
+    made.add_camera(camera)
+    rig = pycolmap.Rig(rig_id=rig_id)
+    rig.add_ref_sensor(_sensor(camera.camera_id))
+    made.add_rig(rig)
+    first = 1 + max((*made.images, *made.frames))
+    for image_id, (name, pose) in enumerate(sorted(places.items()), first):
+        frame = pycolmap.Frame(frame_id=image_id, rig_id=rig_id)
+        frame.rig_from_world = pose
+        frame.add_data_id(pycolmap.data_t(_sensor(camera.camera_id), image_id))
+        image = pycolmap.Image(name=f"{OTHER}/{name}", camera_id=camera.camera_id, image_id=image_id)
+        image.frame_id = image_id
+        made.add_frame(frame)
+        made.add_image(image)
+        made.register_frame(image_id)
     return made
 
 

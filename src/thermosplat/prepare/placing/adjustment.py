@@ -1,0 +1,184 @@
+"""All poses of thermal images, their one lens and the common error of their GPS, adjusted together.
+
+Residuals are distances of edges along their normals, as in ``edge_alignment``, and distances from GPS less its common
+error. Gauss-Newton steps with Geman and McClure's weights change all unknowns at once.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermosplat.prepare.placing.world_edges import Photographs, Pose
+from thermosplat.prepare.registration.edge_alignment import USUAL_WIDTH, matches
+from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera
+from thermosplat.prepare.registration.stereo_edges import EdgePoints
+
+_COUNT = 150.0
+"""So many measurements the edges of an image are worth at most: neighbouring edge points err together."""
+_LEAST_SCALE = 0.7
+"""Standard deviation [px] of an edge's place, at least."""
+_FEWEST_MATCHES = 30
+_LENS_SPREADS = np.array([np.inf, 0.04, 0.04, 0.6, 0.4])
+"""How far the lens is from its usual values, as ``edge_alignment`` has it: only edges tell the focal length."""
+_COMMON_ERROR = 10.0
+"""Standard deviation [m] of the error that all GPS positions share: receivers promise 8 m for 95% of the time."""
+_ROBUST = 3.0
+"""Standard deviations from GPS at which its weight is a half (Cauchy). Open choice."""
+_STEP_IN_DEVIATIONS, _STEP_OF_TURN = 4.0, 0.05
+"""Usual size of one step: of a place [standard deviations of GPS], of a turn [rad]. An image with few edges goes no
+farther (Levenberg's damping)."""
+_POSE, _LENS, _SHARED = 6, 5, 8
+
+Slopes = NDArray[np.float32]
+Step = tuple[Sequence[str], float, float]
+"""Unknowns of the lens that change, and the window: how far an edge is looked for and the scale of its robust weight,
+as in ``edge_alignment.STAGES``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """What is known of thermal images.
+
+    Args:
+        lens: Their lens, at the pose of no rig.
+        poses: By number of the image.
+        common_error: What GPS positions are wrong by together, [3].
+        deviation: Standard deviation of GPS beyond that, by axis.
+    """
+
+    lens: RigCamera
+    poses: Mapping[int, Pose]
+    common_error: Array
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What poses are judged by.
+
+    Args:
+        photographs: The photographs.
+        slopes: Slopes [H, W, 2] of each thermal image.
+        gps: Where GPS has each, [N, 3].
+        edges_of: The edges of how many photographs an image is compared with.
+    """
+
+    photographs: Photographs
+    slopes: Sequence[Slopes]
+    gps: Array
+    edges_of: int
+
+    def edges(self, pose: Pose, lens: RigCamera, weights: Array | None) -> tuple[EdgePoints, Array]:
+        """The edge points that an image may see, and their weights."""
+        camera = pose.camera(lens)
+        numbers = self.photographs.before(camera, self.photographs.near(pose, self.edges_of), weights)
+        return self.photographs.some(numbers), np.ones(len(numbers)) if weights is None else weights[numbers]
+
+
+def adjusted(
+    scene: Scene, known: Adjusted, steps: Sequence[Step], weights: Mapping[int, Array] | None = None
+) -> Adjusted:
+    """Poses, lens and common error after some steps.
+
+    Args:
+        scene: Edges and positions.
+        known: Where to start.
+        steps: The steps.
+        weights: For each image, how much each edge point counts; None: all alike.
+    """
+    numbers = sorted(known.poses)
+    poses, lens, common = dict(known.poses), known.lens, known.common_error
+    size = _POSE * len(numbers)
+    for names, reach, scale in steps:
+        normal, right = np.zeros((size + _SHARED,) * 2), np.zeros(size + _SHARED)
+        shared = np.arange(size, size + _SHARED)
+        for place, number in enumerate(numbers):
+            mine = np.concatenate([np.arange(_POSE * place, _POSE * (place + 1)), shared])
+            own = None if weights is None else weights[number]
+            error = scene.gps[number] - common - poses[number].centre
+            matrix, side = _of_image(scene, number, poses[number], lens, (reach, scale), own, error, known.deviation)
+            normal[np.ix_(mine, mine)] += matrix
+            right[mine] += side
+        away = np.concatenate([[0.0], lens.lens[1:] - [lens.width / 2, lens.height / 2, 0, 0], common])
+        spreads = _LENS_SPREADS * [1, lens.width, lens.width, 1, 1]
+        information = 1 / np.concatenate([spreads, np.full(3, _COMMON_ERROR)]) ** 2
+        normal[shared, shared] += information
+        right[shared] -= information * away
+        free = np.array([*range(size), *(size + UNKNOWNS.index(name) - _POSE for name in names), *shared[_LENS:]])
+        change = np.zeros(size + _SHARED)
+        change[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
+        moved = {
+            number: Pose.of(poses[number].camera(lens).moved(np.concatenate([turn, np.zeros(_LENS)])))
+            for number, turn in zip(numbers, change[:size].reshape(-1, _POSE))
+        }
+        poses, common = moved, common + change[size + _LENS :]
+        lens = lens.moved(np.concatenate([np.zeros(_POSE), change[size : size + _LENS]]))
+    off = [float(np.linalg.norm(scene.gps[n] - common - poses[n].centre)) for n in numbers]
+    return replace(known, lens=lens, poses=poses, common_error=common, deviation=gps_deviation(off, known.deviation))
+
+
+def aligned(
+    scene: Scene, number: int, pose: Pose, known: Adjusted, steps: Sequence[tuple[float, float]], weights: Array
+) -> Pose:
+    """The pose of one image after some steps of its own.
+
+    Args:
+        scene: Edges and positions.
+        number: The image.
+        pose: Where to start.
+        known: The lens, and what is known of GPS.
+        steps: The window of each.
+        weights: How much each edge point counts.
+    """
+    for window in steps:
+        error = scene.gps[number] - known.common_error - pose.centre
+        matrix, side = _of_image(scene, number, pose, known.lens, window, weights, error, known.deviation)
+        if not matrix[:3, :3].any():
+            return pose
+        change = np.linalg.solve(matrix[:_POSE, :_POSE], side[:_POSE])
+        pose = Pose.of(pose.camera(known.lens).moved(np.concatenate([change, np.zeros(_LENS)])))
+    return pose
+
+
+def gps_deviation(off: Sequence[float], otherwise: float) -> float:
+    """Standard deviation by axis of the median distance in three dimensions (chi distribution); at least 5 cm."""
+    return max(float(np.median(off)) / 1.538, 0.05) if len(off) else otherwise
+
+
+def _of_image(
+    scene: Scene,
+    number: int,
+    pose: Pose,
+    lens: RigCamera,
+    window: tuple[float, float],
+    weights: Array | None,
+    error: Array,
+    deviation: float,
+) -> tuple[Array, Array]:
+    """Normal matrix [14, 14] and right side [14] of one image: its pose, the lens, the common error of GPS."""
+    reach, scale = np.multiply(window, max(1.0, lens.width / USUAL_WIDTH))
+    camera = pose.camera(lens)
+    edges, known = scene.edges(pose, lens, weights)
+    points, offsets, normals = matches(camera, edges, [scene.slopes[number]], reach)
+    normal, right = np.zeros((_POSE + _SHARED,) * 2), np.zeros(_POSE + _SHARED)
+    if len(points) >= _FEWEST_MATCHES:
+        rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
+        weight = known[points] / (1 + (offsets / scale) ** 2) ** 2
+        weight *= _COUNT / max(weight.sum(), _COUNT) / max(scale / 2, _LEAST_SCALE) ** 2
+        normal[: _POSE + _LENS, : _POSE + _LENS] = (rows * weight[:, None]).T @ rows
+        right[: _POSE + _LENS] = (rows * weight[:, None]).T @ offsets
+    weight_gps = 1 / (1 + (error @ error) / (_ROBUST * deviation) ** 2) / deviation**2
+    moves = np.zeros((3, _POSE + _SHARED))  # the centre is -R't, and R becomes exp([w]x) R
+    moves[:, :3] = -camera.rotation.T @ _cross_matrix(camera.translation)
+    moves[:, 3:_POSE] = -camera.rotation.T
+    moves[:, _POSE + _LENS :] = np.eye(3)
+    normal[:_POSE, :_POSE] += moves[:, :_POSE].T @ moves[:, :_POSE] / (_STEP_IN_DEVIATIONS * deviation) ** 2
+    normal[range(3), range(3)] += 1 / _STEP_OF_TURN**2
+    return normal + weight_gps * moves.T @ moves, right + weight_gps * moves.T @ error
+
+
+def _cross_matrix(v: Array) -> Array:
+    """[3, 3] matrix that takes the cross product with a vector from the left."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
