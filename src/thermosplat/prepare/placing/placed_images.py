@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.prepare.placing.adjustment import Adjusted, Scene, adjusted, aligned
+from thermosplat.prepare.placing.directions_beside import BESIDE, turned_from_beside
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
 from thermosplat.prepare.placing.straight_pieces import straight_pieces
 from thermosplat.prepare.placing.thermal_contours import Contours, agreement, contours, spread
@@ -43,13 +44,12 @@ _STARTS = 1.5 * np.concatenate([np.eye(3), -np.eye(3)])
 """Places around one from which an image is searched [standard deviations of GPS]."""
 _CLEAR = 1.15
 """How many times as well as elsewhere edges must agree for an image to be asked first what thermal images show."""
-_BESIDE = 3
-"""Images beside one whose directions are tried."""
 _NOT_TURNED = 1 + 2 * np.cos(np.radians(25.0))
 """Trace of the largest turn of an image's last pose against its neighbours' direction."""
-_OF_USUAL, _OFF_GPS, _LEAST_SPREAD = 0.7, 4.0, 0.05
-"""Share of the usual agreement, standard deviations from GPS, and spread of what is shown [image widths], beyond which
-an image is not placed: edges in a corner say little of the rest. Chosen on a rendered flight."""
+_OF_USUAL, _OFF_GPS, _LEAST_SPREAD, _TIMES_TURNED = 0.7, 4.0, 0.05, 5.0
+"""Share of the usual agreement, standard deviations from GPS, spread of what is shown [image widths], and turn against
+the images beside it [of the usual one], beyond which an image is not placed: edges in a corner say little of the rest.
+Chosen on rendered flights."""
 _ALL = ("log_f", "k1", "cx", "cy", "k2")
 _PLAIN_STEPS = [
     *[(_ALL[:1], 10.0, 4.0)] * 3,
@@ -146,7 +146,7 @@ def _beside(number: int, pieces: NDArray[np.int64], right: Sequence[int]) -> lis
     """Images that look about the way of another: trusted ones of its straight piece, else before and after, else it."""
     near = sorted(right, key=lambda one: abs(one - number))
     same = [one for one in near if one != number and pieces[one] == pieces[number] >= 0]
-    return same[:_BESIDE] or [one for one in near if 0 < abs(one - number) <= _BESIDE] or [number]
+    return same[:BESIDE] or [one for one in near if 0 < abs(one - number) <= BESIDE] or [number]
 
 
 def _best_of_starts(
@@ -194,10 +194,13 @@ def _sound(scene: Scene, known: Adjusted, weights: Mapping[int, Array]) -> tuple
     shares = {n: agreement(scene, n, pose, lens, weights[n])[1] for n, pose in known.poses.items()}
     usual = float(np.median(list(shares.values())))
     off = {n: np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in known.poses.items()}
+    turned = turned_from_beside({n: pose.rotation for n, pose in known.poses.items()})
+    most_turned = _TIMES_TURNED * float(np.median(list(turned.values())))
     right = [
         n
         for n, pose in known.poses.items()
-        if shares[n] > _OF_USUAL * usual
+        if turned[n] <= most_turned
+        and shares[n] > _OF_USUAL * usual
         and off[n] < _OFF_GPS * known.deviation
         and spread(scene, n, pose, lens, weights[n]) > _LEAST_SPREAD
     ]
