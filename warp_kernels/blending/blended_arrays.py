@@ -43,16 +43,13 @@ class BlendWalk:
         variant: of the kernels.
         cuts: which lists are cut, and whose rows in ``states`` are; see list_segments. None where none may be.
         states: [rows, state_length, pixels of a tile] what each segment of a cut list left; None likewise.
+        rows: of ``states``.
     """
 
     variant: BlendVariant
     cuts: wp.array | None
     states: wp.array | None
-
-    @property
-    def rows(self) -> int:
-        """Of ``states``."""
-        return 0 if self.states is None else self.states.shape[0]
+    rows: int = 0
 
 
 class BlendLauncher(Protocol):

@@ -142,7 +142,7 @@ def _cut_lists(variant: BlendVariant, bins: TileBins, num_tiles: int) -> BlendWa
     size_of_state = (variant.state_length, bins.tile_size**2)
     if not bins.has_room and rows * math.prod(size_of_state) * wp.types.type_size_in_bytes(dtype) >= WORTH_A_WAIT:
         rows = memory.source.last(cuts)
-    return BlendWalk(variant, cuts, empty((rows, *size_of_state), dtype, device))
+    return BlendWalk(variant, cuts, empty((rows, *size_of_state), dtype, device), rows)
 
 
 def blend_adjoint(
