@@ -32,7 +32,7 @@ _TOLERANCE = 1.5
 _NEAR_ANGLE = 45.0
 """Angle between two cameras [°] that counts as much as the distance of most cameras: of all, the nearest is taken."""
 _INEXACT = 0.5
-"""Distance of matches [px] from which poses are inexact. Open choice: ten good captures have 0.06 to 0.18, with every
+"""Distance of matches [px] from which poses are inexact. Open choice: 20 good captures have 0.06 to 0.22, with every
 third photograph blurred up to 0.33, with poses off by 0.5° 0.61 to 1.11 (benchmarks/records/real-captures.md)."""
 _TIMES_FITTED = 2.5
 """... and so many times the distance that a relative pose of their own leaves, so that blur is none. Open choice: good
