@@ -32,6 +32,7 @@ from thermosplat.prepare.checking.point_levels import PointLevels, point_levels
 from thermosplat.prepare.checking.quick_check import wrong_findings
 from thermosplat.prepare.checking.sensor_orientation import find_orientation, orientation_as_registered
 from thermosplat.prepare.counted import agreeing, counted
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.steps import StepReport, read_marker, require_step, run_step
 from thermosplat.prepare.whole_files import write_png
@@ -304,5 +305,4 @@ def _photograph(capture: CaptureFolder, name: str) -> NDArray[np.uint8]:
 
 def _spread(pairs: Sequence[PairRow], count: int) -> list[PairRow]:
     """Up to ``count`` pairs, evenly over the capture."""
-    places = np.unique(np.linspace(0, max(len(pairs) - 1, 0), min(count, len(pairs))).round().astype(int))
-    return [pairs[place] for place in places]
+    return [pairs[place] for place in evenly_chosen(len(pairs), count)]

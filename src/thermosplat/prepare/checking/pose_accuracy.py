@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import View
-from thermosplat.prepare.checking.sensor_orientation import LUMA
+from thermosplat.prepare.checking.posed_photographs import reduced_luma
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 
 LONG_SIDE = 640
 """Of the photographs that are looked at, and the unit of distances [px]."""
@@ -32,7 +33,7 @@ _TOLERANCE = 1.5
 _NEAR_ANGLE = 45.0
 """Angle between two cameras [°] that counts as much as the distance of most cameras: of all, the nearest is taken."""
 _INEXACT = 0.5
-"""Distance of matches [px] from which poses are inexact. Open choice: 20 good captures have 0.06 to 0.22, with every
+"""Distance of matches [px] from which poses are inexact. Open choice: 20 good captures have 0.06 to 0.23, with every
 third photograph blurred up to 0.33, with poses off by 0.5° 0.61 to 1.11 (benchmarks/records/real-captures.md)."""
 _TIMES_FITTED = 2.5
 """... and so many times the distance that a relative pose of their own leaves, so that blur is none. Open choice: good
@@ -76,7 +77,7 @@ def pose_accuracy(views: Sequence[View]) -> PoseAccuracy | None:
         return None
     features: dict[int, _Features] = {}
     found = []
-    for first in np.unique(np.linspace(0, len(views) - 1, min(_COMPARED, len(views))).round().astype(int)).tolist():
+    for first in evenly_chosen(len(views), _COMPARED):
         second = _nearest(views, first)
         if second is None:
             continue
@@ -104,13 +105,8 @@ def _nearest(views: Sequence[View], place: int) -> int | None:
 
 
 def _features(view: View) -> _Features:
-    image, camera = view.pixels().image, view.camera
-    factor = min(1.0, LONG_SIDE / max(image.shape[:2]))
-    grey = image.astype(np.float32) @ LUMA * (255.0 if image.dtype != np.uint8 else 1.0)
-    small = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    keypoints, descriptors = cv2.SIFT.create(_FEATURES).detectAndCompute(
-        np.rint(small).clip(0, 255).astype(np.uint8), None
-    )
+    camera, small = view.camera, np.rint(reduced_luma(view, LONG_SIDE)).astype(np.uint8)
+    keypoints, descriptors = cv2.SIFT.create(_FEATURES).detectAndCompute(small, None)
     at = np.array([point.pt for point in keypoints], np.float64).reshape(-1, 2) + 0.5
     at *= np.array([camera.width / small.shape[1], camera.height / small.shape[0]])
     rays = (at - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
@@ -136,7 +132,7 @@ def _distances(first: _Features, second: _Features, relative: Array) -> tuple[fl
     if fitted is None or fitted.shape != (3, 3) or (kept := mask[:, 0] > 0).sum() < _LEAST_MATCHES:
         return None
     t = relative[:3, 3] / max(float(np.linalg.norm(relative[:3, 3])), 1e-12)
-    stated = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ relative[:3, :3]
+    stated = np.cross(t, relative[:3, :3].T).T
     return _sampson(stated, one[kept], other[kept]) / pixel, _sampson(fitted, one[kept], other[kept]) / pixel
 
 

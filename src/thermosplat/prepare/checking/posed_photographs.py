@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import View
 from thermosplat.prepare.checking.sensor_orientation import LUMA
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 
 _COMPARED = 16
 """Photographs that are looked at."""
@@ -70,20 +71,20 @@ def pose_scores(views: Sequence[View], points: NDArray[np.floating], colors: NDA
         return {}
     every = max(1, len(points) // _MOST_POINTS)
     places, luma = points[::every].astype(np.float64), colors[::every].astype(np.float32) @ LUMA
-    at = np.unique(np.linspace(0, len(views) - 1, min(_COMPARED, len(views))).round().astype(int))
+    at = evenly_chosen(len(views), _COMPARED)
     cache: dict[int, NDArray[np.float32]] = {}
 
     def image(place: int) -> NDArray[np.float32]:
         place %= len(views)
         if place not in cache:
-            cache[place] = _small(views[place])
+            cache[place] = reduced_luma(views[place])
         return cache[place]
 
     def score(shift: int = 0, focal: float = 1.0, inverted: bool = False, axes: bool = False) -> float:
         found = []
         for place in at:
             view = views[place]
-            pose = np.linalg.inv(view.viewmat) if inverted else view.viewmat
+            pose = np.asarray(np.linalg.inv(view.viewmat) if inverted else view.viewmat, np.float64)
             pose = _AXES @ pose if axes else pose
             pixels, inside = projected(view, pose, focal, places)
             true = _agreement(image(place + shift), pixels, luma[inside])
@@ -161,13 +162,14 @@ def exposure_drift(views: Sequence[View], points: NDArray[np.floating], colors: 
     for view in views[:: max(1, len(views) // (2 * _COMPARED))]:
         shares, inside = projected(view, view.viewmat, 1.0, places)
         if len(shares) >= _LEAST_POINTS // 5:
-            ratios = (_sampled(_small(view), shares) + 8) / (luma[inside] + 8)  # dark pixels tell little
+            ratios = (_sampled(reduced_luma(view), shares) + 8) / (luma[inside] + 8)  # dark pixels tell little
             gains.append(float(np.log(np.median(ratios))))
     return float(np.std(gains)) if len(gains) >= _LEAST_FRAMES else 0.0
 
 
-def _small(view: View) -> NDArray[np.float32]:
+def reduced_luma(view: View, long_side: int = _LONG_SIDE) -> NDArray[np.float32]:
+    """Brightness of a photograph, [H, W] from 0 to 255, with sides of at most ``long_side`` px."""
     image = view.pixels().image
-    factor = min(1.0, _LONG_SIDE / max(image.shape[:2]))
+    factor = min(1.0, long_side / max(image.shape[:2]))
     small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     return np.asarray(small.astype(np.float32) @ LUMA)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from thermosplat.datasets.capture import View
 from thermosplat.prepare.checking.posed_photographs import projected
 from thermosplat.prepare.checking.sensor_orientation import edge_strength
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.spectra import label
 
 _COMPARED = 24
@@ -108,7 +109,7 @@ def together(pairs: Sequence[tuple[View, View]], points: NDArray[np.floating]) -
     """
     if len(pairs) < _LEAST_PAIRS:
         return None
-    places = sorted({round(one) for one in np.linspace(0, len(pairs) - 1, min(_COMPARED, len(pairs)))})
+    places = evenly_chosen(len(pairs), _COMPARED)
     camera = pairs[0][0].camera
     factor = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
     size = round(camera.width * factor), round(camera.height * factor)

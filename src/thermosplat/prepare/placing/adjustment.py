@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.registration.edge_alignment import USUAL_WIDTH, matches
-from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera
+from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera, cross_matrices
 from thermosplat.prepare.registration.stereo_edges import EdgePoints
 
 _COUNT = 150.0
@@ -171,14 +171,9 @@ def _of_image(
         right[: _POSE + _LENS] = (rows * weight[:, None]).T @ offsets
     weight_gps = 1 / (1 + (error @ error) / (_ROBUST * deviation) ** 2) / deviation**2
     moves = np.zeros((3, _POSE + _SHARED))  # the centre is -R't, and R becomes exp([w]x) R
-    moves[:, :3] = -camera.rotation.T @ _cross_matrix(camera.translation)
+    moves[:, :3] = -camera.rotation.T @ cross_matrices(camera.translation[None])[0]
     moves[:, 3:_POSE] = -camera.rotation.T
     moves[:, _POSE + _LENS :] = np.eye(3)
     normal[:_POSE, :_POSE] += moves[:, :_POSE].T @ moves[:, :_POSE] / (_STEP_IN_DEVIATIONS * deviation) ** 2
     normal[range(3), range(3)] += 1 / _STEP_OF_TURN**2
     return normal + weight_gps * moves.T @ moves, right + weight_gps * moves.T @ error
-
-
-def _cross_matrix(v: Array) -> Array:
-    """[3, 3] matrix that takes the cross product with a vector from the left."""
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

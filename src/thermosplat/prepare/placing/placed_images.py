@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.placing.adjustment import Adjusted, Scene, adjusted, aligned
 from thermosplat.prepare.placing.directions_beside import BESIDE, turned_from_beside
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
@@ -119,7 +120,7 @@ def placed_images(photographs: Photographs, slopes: Sequence[NDArray[np.float32]
 def _first_lens(scene: Scene, fields: Sequence[Field]) -> RigCamera:
     """The lens without distortion by which some images agree best with the photographs."""
     height, width = scene.slopes[0].shape[:2]
-    asked = np.unique(np.linspace(0, len(fields) - 1, min(_ASKED, len(fields))).round().astype(int))
+    asked = evenly_chosen(len(fields), _ASKED)
     lenses = [RigCamera.looking_along(width, height, factor * width) for factor in FOCAL_LENGTHS]
     scores = []
     with progress_bar("focal length", len(lenses)) as advance:

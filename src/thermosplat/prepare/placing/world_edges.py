@@ -19,7 +19,6 @@ _PER_RADIAN = 4.0
 """So many of that unit are as far as one radian between the directions of two views. Open choice."""
 _BEYOND = 1.5
 """Half diagonals from the axis up to which the lens is believed; farther out a polynomial may fold back."""
-
 _LEAST_WEIGHT = 0.05
 """Edge points of less weight are left out."""
 

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.registration import thermal_edges
 from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 from thermosplat.prepare.registration.stereo_edges import EdgePoints
@@ -84,7 +85,7 @@ def _refined(match: Match, edges: EdgePoints, slopes: Sequence[NDArray[np.float3
 
 def _spread(frames: NDArray[np.int64], most: int) -> list[int]:
     """At most so many frames, evenly spread."""
-    return [int(frame) for frame in frames[np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int)]]
+    return [int(frame) for frame in frames[evenly_chosen(len(frames), most)]]
 
 
 def edge_field(

@@ -91,7 +91,7 @@ class RigCamera:
         by_u = f * (stretch[:, None, None] * np.eye(2) + 2 * (k1 + 2 * k2 * r2)[:, None, None] * _outer(u, u))
         by_local = by_u @ np.concatenate([np.eye(2) / z[:, None, None], -(u / z[:, None])[:, :, None]], axis=2)
         result = np.zeros((len(points), 2, len(UNKNOWNS)))
-        result[:, :, :3] = -by_local @ _cross_matrices(turned)
+        result[:, :, :3] = -by_local @ cross_matrices(turned)
         result[:, :, 3:6] = by_local
         result[:, :, 6] = f * u * stretch[:, None]
         result[:, 0, 7] = result[:, 1, 8] = 1
@@ -111,7 +111,7 @@ def _outer(a: Array, b: Array) -> Array:
     return a[:, :, None] * b[:, None, :]
 
 
-def _cross_matrices(v: Array) -> Array:
+def cross_matrices(v: Array) -> Array:
     """[N, 3, 3] matrices that take the cross product with v [N, 3] from the left."""
     result = np.zeros((len(v), 3, 3))
     result[:, 0, 1], result[:, 0, 2], result[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
