@@ -23,6 +23,8 @@ GAMMA = 2.2
 """Between linear light and the values of a photograph."""
 LAMP = 300.0
 """Temperature of the hot lamp [°C]."""
+_THERMAL_BLUR = 0.003
+"""Standard deviation of the thermal camera's point spread [image widths], that of the rendered captures."""
 
 
 @dataclass(frozen=True)
@@ -183,8 +185,10 @@ def _picture(frame: Frame, spectrum: str, source: Capture, lamp: NDArray[np.floa
         return image
     at = camera.K @ in_camera / in_camera[2]
     radius = max(1, round(0.03 * camera.width))
-    mask = cv2.circle(np.zeros(image.shape[:2], np.uint8), (round(at[0]), round(at[1])), radius, 1, -1)
-    return np.where(mask[..., None] > 0, 1.0, image)
+    lamp_share = cv2.circle(np.zeros(image.shape[:2]), (round(at[0]), round(at[1])), radius, 1.0, -1)
+    if spectrum != "rgb":
+        lamp_share = cv2.GaussianBlur(lamp_share, (0, 0), _THERMAL_BLUR * camera.width)
+    return image + lamp_share[..., None] * (1.0 - image)
 
 
 def _write(path: Path, image: NDArray[np.float64]) -> None:
