@@ -108,12 +108,16 @@ def test_things_are_alone_of_their_colour(monkeypatch: pytest.MonkeyPatch, chang
 
 
 @pytest.mark.parametrize("spot", [0.0, 4.0])
-def test_a_surface_is_compared_with_its_like(monkeypatch: pytest.MonkeyPatch, spot: float) -> None:
-    """A warm strip of another colour is none beside a cold one, and a spot on it is one against the strip alone."""
-    values, photograph = _wall(0.0), np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
-    values[:, 30:60] += 6.0
-    photograph[:, 30:60] += 0.2
-    values[20:28, 40:50] += spot
+@pytest.mark.parametrize(("width", "contrast"), [(30, 0.2), (14, 0.03)])
+def test_a_surface_is_compared_with_its_like(
+    monkeypatch: pytest.MonkeyPatch, width: int, contrast: float, spot: float
+) -> None:
+    """A warm strip of another colour, or of another shade, is none beside a cold one; a spot on the strip is one."""
+    noise = np.random.default_rng(0).normal(0.5, 0.005, (HEIGHT, WIDTH, 3))
+    values, photograph = _wall(0.0), noise.astype(np.float32)
+    values[:, 30 : 30 + width] += 6.0
+    photograph[:, 30 : 30 + width] += contrast
+    values[20:28, 34:40] += spot
     monkeypatch.setattr(findings, "photographs_of", lambda measurer, views: [photograph] * len(views))
     found = find(_measurer(values), "thermal", limit=2.0).findings
     assert [round(one.difference) for one in found] == [4] * bool(spot)

@@ -10,13 +10,14 @@ chimney have nothing, is compared with whatever surrounds it, and listed as a th
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.reporting.likes import Elements, photographs_of
-from thermosplat.reporting.warm_parts import FEWEST_PIXELS, compact_parts, grown, of_parts, point_of, surroundings
+from thermosplat.reporting.patterns import patterns
+from thermosplat.reporting.warm_parts import FEWEST_PIXELS, compact_parts, grown, of_parts, surroundings
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
@@ -36,14 +37,14 @@ _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
 _FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
 """Of a finding: views that agree, and their share of those that see the place."""
-_ALIKE, _NEIGHBOURS = 1.4, 10
-"""Times that the differences of parts of one pattern differ, and cells that lie between them."""
+_NEIGHBOURS = 10
+"""Cells that lie between parts of one pattern."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
 _STEP = 0.55
 """Of the cells that connect pixels to regions, as a share of the grid's: little more than a pixel."""
-_ALONE = 0.75
-"""Share of the square of its length from which on a region is no part of a pattern: of rafters it is the half."""
+_HALF = 0.5
+"""Of the limit: the least difference of a region as a whole, as it ends where half of its own is left."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -136,7 +137,7 @@ def find(
         masks = beyond(of_each)
         return [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
 
-    search = _Search(measurer, spectrum, views, sign)
+    search = _Search(measurer, spectrum, views, sign, limit)
     things: list[Finding] = []
     if reference is None:
         masks = elements.agreed(regions_of(references))
@@ -161,11 +162,17 @@ class _Search:
         spectrum: Where.
         views: Of the capture.
         sign: -1 where they are below the reference, else 1.
+        limit: Least distance from the reference.
     """
 
-    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float) -> None:
-        self._measurer, self._spectrum, self._views, self._sign = measurer, spectrum, views, sign
-        self._places = [view.points[::2, ::2][view.there[::2, ::2]] for view in views]
+    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float, limit: float) -> None:
+        self._measurer, self._spectrum, self._views = measurer, spectrum, views
+        self._sign, self._least = sign, _HALF * limit
+        places = [view.points[::2, ::2][view.there[::2, ::2]] for view in views]
+        of_view = np.repeat(np.arange(len(views)), [len(some) for some in places])
+        everywhere = np.concatenate(places)
+        order = np.argsort(everywhere[:, 0])
+        self._places, self._of_view = everywhere[order], of_view[order]
         self._known: dict[SearchedView, Sure | None] = {}
         self._cell = grid_cell(views)
         self.findings: list[Finding] = []
@@ -190,8 +197,9 @@ class _Search:
             if must_not_be_read(sure, pixels):
                 self.not_read += 1
                 continue
-            fresh += [_finding(one, view, part, around, sure) for one, part in compact_parts(region, view, pixels)]
-        self.findings += _patterns(fresh, _NEIGHBOURS * self._cell)
+            parts = [_finding(one, view, part, around, sure) for one, part in compact_parts(region, view, pixels)]
+            fresh += [one for one in parts if self.far(one) > self._least]
+        self.findings += patterns(fresh, _NEIGHBOURS * self._cell)
 
     def things(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> list[Finding]:
         """Regions as things, the farthest from the reference first, before anybody asks whether they may be read.
@@ -205,7 +213,7 @@ class _Search:
             if self._is_agreed(region):
                 view, around = self._views[region.best_view], references[region.best_view]
                 fresh += [_finding(one, view, part, around, None) for one, part in compact_parts(region, view, pixels)]
-        return sorted(_patterns(fresh, _NEIGHBOURS * self._cell), key=self.far, reverse=True)
+        return sorted(patterns(fresh, _NEIGHBOURS * self._cell), key=self.far, reverse=True)
 
     def readable(self, things: list[Finding]) -> tuple[Finding, ...]:
         """The first things that may be read, at most ``MOST_THINGS``."""
@@ -229,10 +237,11 @@ class _Search:
         """Regions that are large enough, and their pixels in the view that sees the most of them, [H, W]."""
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
         for region in find_regions(hot, _STEP * self._cell, colder=self._sign < 0):
+            if region.pixels < FEWEST_PIXELS or region.views < _FEWEST_VIEWS:
+                continue
             best = region.best_view
             pixels = masks[best] & _inside(self._views[best].points, region, self._cell)
-            large = region.pixels >= FEWEST_PIXELS and region.views >= _FEWEST_VIEWS
-            if large and np.isfinite(references[best][pixels]).any():
+            if np.isfinite(references[best][pixels]).any():
                 yield region, pixels
 
     def _is_agreed(self, region: Region) -> bool:
@@ -242,50 +251,16 @@ class _Search:
     def _seeing(self, region: Region) -> int:
         """Views that see a place."""
         half = np.array(region.size) / 2
-        return sum(bool((np.abs(some - region.place) <= half).all(axis=-1).any()) for some in self._places)
+        x, middle = self._places[:, 0], region.place[0]
+        near = slice(np.searchsorted(x, middle - half[0], "left"), np.searchsorted(x, middle + half[0], "right"))
+        inside = (np.abs(self._places[near, 1:] - region.place[1:]) <= half[1:]).all(axis=-1)
+        return len(np.unique(self._of_view[near][inside]))
 
     def _sure(self, view: SearchedView) -> Sure | None:
         if view not in self._known:  # it takes a while, and many regions share a view
             layer = Layer("image", self._spectrum)
             self._known[view] = self._measurer.renderer.how_sure(layer, view.view)
         return self._known[view]
-
-
-def _patterns(findings: list[Finding], gap: float) -> list[Finding]:
-    """Findings of which neighbours that are alike are one: heat between rafters and loops of pipes come in many parts.
-
-    Args:
-        findings: In any order.
-        gap: Distance of boxes up to which they are neighbours [world units].
-    """
-    group = list(range(len(findings)))
-    for i, one in enumerate(findings):
-        for j, other in enumerate(findings[:i]):
-            apart = np.abs(np.subtract(one.region.place, other.region.place))
-            sizes = (np.array(one.region.size) + other.region.size) / 2
-            alike = max(one.difference / other.difference, other.difference / one.difference) < _ALIKE
-            between = float(np.linalg.norm(np.maximum(apart - sizes, 0)))
-            if alike and between <= gap and not (_is_compact(one.region) or _is_compact(other.region)):
-                group = [group[i] if number == group[j] else number for number in group]
-    patterns = [[one for one, of in zip(findings, group) if of == number] for number in dict.fromkeys(group)]
-    return [one for some in patterns for one in ([_joined(some)] if len(some) > 1 else some)]
-
-
-def _is_compact(region: Region) -> bool:
-    """Whether it is a thing of its own, as a module is, and no part of a pattern."""
-    return region.area >= _ALONE * max(region.size) ** 2
-
-
-def _joined(parts: list[Finding]) -> Finding:
-    """Parts of a pattern as one finding, with the numbers of the largest; place and extent are those of them all."""
-    largest = max(parts, key=lambda one: one.region.area)
-    low, high = (
-        np.array([np.add(one.region.place, sign * np.array(one.region.size) / 2) for one in parts]) for sign in (-1, 1)
-    )
-    ends = low.min(axis=0), high.max(axis=0)
-    place, sides = point_of((ends[0] + ends[1]) / 2), point_of(ends[1] - ends[0])
-    area = sum(one.region.area if one.area is None else one.area for one in parts)
-    return replace(largest, region=replace(largest.region, place=place, size=sides), area=area)
 
 
 def _holds(one: Region, other: Region) -> bool:

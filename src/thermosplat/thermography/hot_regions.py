@@ -70,13 +70,13 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
     )
     region = _connected(cells)[of_cell.ravel()]
     found = []
-    for number in np.unique(region):
-        mine = region == number
+    order = np.argsort(region, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(region[order])) + 1):
         per_view = np.bincount(of_view[mine], minlength=len(views))
         best = int(per_view.argmax())
         if per_view[best] < FEWEST_PIXELS:
             continue
-        extreme = np.flatnonzero(mine)[values[mine].argmin() if colder else values[mine].argmax()]
+        extreme = mine[values[mine].argmin() if colder else values[mine].argmax()]
         low, high = points[mine].min(axis=0), points[mine].max(axis=0)
         found.append(
             Region(
