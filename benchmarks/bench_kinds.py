@@ -61,8 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     with ThreadPoolExecutor(trainings.count) as pool:
         rows = list(pool.map(row, given.only))
-    columns = {"kind": "{}", "rgb": "{:.2f}", "thermal": "{:.2f}", "own": "{}", "gaussians": "{:,}", "seconds": "{:.0f}"}
-    text = markdown_table(rows, columns)
+    columns = {"kind": "{}", "rgb": "{:.2f}", "thermal": "{:.2f}", "own": "{}"}
+    text = markdown_table(rows, columns | {"gaussians": "{:,}", "seconds": "{:.0f}"})
     write_text(given.out / given.data.name / "kinds.md", text)
     print(text)
     return 0

@@ -2,7 +2,7 @@
 
 Feature maps have a random direction of length 1 for each label, and noise of 0.3 of this length that is independent
 from pixel to pixel: a perfect render has a cosine of 1 / sqrt(1 + 0.3²) = 0.96 to them. Bands are made of the
-photographs' linear mixtures and the temperature t in [0, 1], with noise of 0.01:
+photographs' colours and the thermal images' values t, both in [0, 1], with noise of 0.01:
 
     band(λ) = (Σ g(λ) rgb)^(0.7 + 0.6 λ) · (1 - 0.4 t λ),    λ in [0, 1]
 
@@ -11,12 +11,15 @@ where g are three bells about the middles of blue, green and red.
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from thermosplat.datasets import load_capture
+from thermosplat.thermal.intensity import pixel_intensity
 
 LABEL_NAMES = ("other", "glass", "poster", "hidden_heat", "plastic", "specular")
 """By number; those of ``rendered_captures``."""
@@ -64,7 +67,6 @@ def capture_with_bands(capture: Path, out: Path, channels: int, chosen: int | No
     """
     _copy(capture, out)
     loaded = load_capture(capture)
-    low, high = loaded.scales["thermal"].range or (0.0, 1.0)
     wavelengths = np.linspace(0.0, 1.0, channels)
     if chosen is not None:
         wavelengths = wavelengths[np.linspace(0, channels - 1, chosen).round().astype(int)]
@@ -73,14 +75,16 @@ def capture_with_bands(capture: Path, out: Path, channels: int, chosen: int | No
     random = np.random.default_rng(seed)
     for part, frames in (("train", loaded.train), ("test", loaded.test)):
         for frame in frames:
-            photograph = frame.views["rgb"].pixels().image / 255.0
-            values = frame.views["thermal"].pixels().values
-            if values is None:
-                raise ValueError(f"{capture} has no temperatures")
-            warmth = np.clip((values - low) / (high - low), 0.0, 1.0)[..., None]
+            photograph, thermal = (_unit(frame.views[name].pixels().image) for name in ("rgb", "thermal"))
+            warmth = pixel_intensity(torch.from_numpy(thermal), loaded.scales["thermal"]).numpy()[..., None]
             bands = (photograph @ bells.T) ** (0.7 + 0.6 * wavelengths) * (1.0 - 0.4 * warmth * wavelengths)
             _write(out / "bands" / part / f"{frame.name}.npy", bands + random.normal(0.0, _NOISE_OF_BANDS, bands.shape))
     return out
+
+
+def _unit(image: NDArray[Any]) -> NDArray[np.float64]:
+    """An image in [0, 1]."""
+    return image / 255.0 if image.dtype == np.uint8 else image.astype(np.float64)
 
 
 def _copy(capture: Path, out: Path) -> None:
