@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermosplat.prepare.placing.thermal_looks import Expected, Scene
+from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown
 from thermosplat.prepare.placing.world_edges import Pose
 from thermosplat.prepare.registration.edge_alignment import USUAL_WIDTH, matches
 from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera, cross_matrices
@@ -60,16 +60,14 @@ class Adjusted:
     deviation: float
 
 
-def adjusted(
-    scene: Scene, known: Adjusted, steps: Sequence[Step], expected: Mapping[int, Expected] | None = None
-) -> Adjusted:
+def adjusted(scene: Scene, known: Adjusted, steps: Sequence[Step], shown: Shown | None = None) -> Adjusted:
     """Poses, lens and common error after some steps.
 
     Args:
         scene: Edges and positions.
         known: Where to start.
         steps: The steps.
-        expected: What each image should show; None: any edge.
+        shown: What placed images show; None: any edge counts.
     """
     numbers = sorted(known.poses)
     poses, lens, common = dict(known.poses), known.lens, known.common_error
@@ -79,7 +77,7 @@ def adjusted(
         shared = np.arange(size, size + _SHARED)
         for place, number in enumerate(numbers):
             mine = np.concatenate([np.arange(_POSE * place, _POSE * (place + 1)), shared])
-            own = None if expected is None else expected[number]
+            own = None if shown is None else shown.without(number)
             error = scene.gps[number] - common - poses[number].centre
             matrix, side = _of_image(scene, number, poses[number], lens, window, own, error, known.deviation)
             normal[np.ix_(mine, mine)] += matrix

@@ -14,7 +14,7 @@ what thermal images show alike:
 An image counts as placed if edges and looks agree about as well as those of most, and if it lies where GPS has it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -23,7 +23,7 @@ import numpy as np
 from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.placing.adjustment import Adjusted, Window, adjusted, aligned
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
-from thermosplat.prepare.placing.thermal_looks import Expected, Scene, ThermalImage, agreement, shown_by
+from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown, ThermalImage, agreement, shown_by
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.progress import progress_bar
 from thermosplat.prepare.registration.edge_correlation import FOCAL_LENGTHS, QUARTERS, edge_field, turn_about_axis
@@ -58,8 +58,8 @@ _PLAIN_STEPS = [
     *[(_ALL[:4], (5.0, 2.0, 0))] * 5,
 ]
 _FINE_STEPS = [[(_ALL, window)] * 3 for window in ((3.0, 1.25, 1), (2.0, 0.75, 2), (2.0, 0.75, 2), (1.5, 0.5, 2))]
-_ALONE = [*[(5.0, 2.0, 0)] * 6, *[(3.0, 1.25, 1)] * 5, *[(2.0, 0.75, 2)] * 4]
-_NEARLY_RIGHT = 6
+_ALONE = [*[(5.0, 2.0, 0)] * 3, *[(3.0, 1.25, 1)] * 3, *[(2.0, 0.75, 2)] * 2]
+_NEARLY_RIGHT = 3
 """Windows of the adjustments: the lens follows when poses are about right. Of one image alone, and how many
 of these an image does without that is nearly right."""
 
@@ -117,19 +117,18 @@ def with_looks(scene: Scene, known: Adjusted, right: Sequence[int], advance: Cal
     for round_number in range(_WITH_LOOKS):
         by_look = round_number > 0  # images that are wrong together look alike: the first time, edges decide
         shown = shown_by(scene, known.poses, known.lens, right)
-        poses, expected = {}, {}
+        poses = {}
         for number in known.poses:
-            expected[number] = shown.without(number)
-            told = expected[number] if by_look else expected[number].edges_alone()
+            expected = shown.without(number)
+            told = expected if by_look else expected.edges_alone()
             poses[number] = _best(scene, number, known, told, right, by_look=by_look)
             advance(1)
         known = replace(known, poses=poses)
-        right, share = _sound(scene, known, expected)
+        right, share = _sound(scene, known, shown)
         for steps in _FINE_STEPS:  # each image moves towards the others, and these move, too
             shown = shown_by(scene, known.poses, known.lens, right)
-            expected = {number: shown.without(number) for number in known.poses}
-            known = adjusted(scene, known, steps, expected)
-        right, share = _sound(scene, known, expected)
+            known = adjusted(scene, known, steps, shown)
+        right, share = _sound(scene, known, shown)
     return Placement(known, right, share)
 
 
@@ -208,9 +207,9 @@ def _look_field(image: ThermalImage) -> Field:
     return cv2.resize(look, size, interpolation=cv2.INTER_AREA).astype(np.complex64)
 
 
-def _sound(scene: Scene, known: Adjusted, expected: Mapping[int, Expected]) -> tuple[list[int], float]:
+def _sound(scene: Scene, known: Adjusted, shown: Shown) -> tuple[list[int], float]:
     """The images that are placed, and the usual share of what others show that an image shows."""
-    agree = {n: agreement(scene, n, pose, known.lens, expected[n]) for n, pose in known.poses.items()}
+    agree = {n: agreement(scene, n, pose, known.lens, shown.without(n)) for n, pose in known.poses.items()}
     edges, looks = (float(np.median([one[kind] for one in agree.values()])) for kind in (0, 1))
     off = {n: np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in known.poses.items()}
     right = [
