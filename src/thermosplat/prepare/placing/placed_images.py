@@ -19,11 +19,14 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.placing.adjustment import Adjusted, Window, adjusted, aligned
+from thermosplat.prepare.placing.directions_beside import BESIDE, turned_from_beside
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
-from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown, ThermalImage, agreement, shown_by
+from thermosplat.prepare.placing.straight_pieces import straight_pieces
+from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown, ThermalImage, agreement, shown_by, spread
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.progress import progress_bar
 from thermosplat.prepare.registration.edge_correlation import FOCAL_LENGTHS, QUARTERS, edge_field, turn_about_axis
@@ -38,19 +41,20 @@ _FIRST_REACH, _REACH, _LAST_REACH = 0.19, 0.14, 0.09
 _FIRST_TURNS, _TURNS, _LAST_TURNS = (-4.0, 0.0, 4.0), (-4.0, -2.0, 0.0, 2.0, 4.0), (-1.5, 0.0, 1.5)
 _DEVIATION = 0.5
 """Standard deviation [m] of GPS from image to image to begin with. Open choice."""
-_PLAIN, _WITH_LOOKS = 3, 3
-"""Rounds of both kinds."""
+_PLAIN, _BY_LOOK = 3, 1
+"""Rounds before and after the one with edges of temperature alone."""
 _EDGES_OF_PLAIN, _EDGES_OF = 3, 5
 """Photographs whose edges an image is compared with."""
 _STARTS = 1.5 * np.concatenate([np.eye(3), -np.eye(3)])
 """Places around one from which an image is searched [standard deviations of GPS]."""
 _CLEAR = 1.15
 """How many times as well as elsewhere edges must agree for an image to be asked first what thermal images show."""
-_BESIDE = 2
-"""Placed images before and after one, in whose directions it is looked for. Open choice."""
-_OF_USUAL, _OFF_GPS = 0.7, 4.0
-"""Share of the usual agreement, and standard deviations from GPS, beyond which an image is not placed. Chosen on
-rendered flights."""
+_NOT_TURNED = 1 + 2 * np.cos(np.radians(25.0))
+"""Trace of the largest turn of an image's last pose against its neighbours' direction."""
+_OF_USUAL, _OF_USUAL_LOOK, _OFF_GPS, _LEAST_SPREAD, _TIMES_TURNED = 0.7, 0.6, 4.0, 0.05, 5.0
+"""Share of the usual agreement of edges, and of edges and looks where both are known, standard deviations from GPS,
+spread of what is shown [image widths], and turn against the images beside it [of the usual one], beyond which an image
+is not placed: edges in a corner say little of the rest, and looks tell all of it. Chosen on rendered flights."""
 _ALL = ("log_f", "k1", "cx", "cy", "k2")
 _PLAIN_STEPS = [
     *[(_ALL[:1], (10.0, 4.0, 0))] * 3,
@@ -91,7 +95,7 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
     scene = Scene(photographs, images, gps, _EDGES_OF_PLAIN)
     known = Adjusted(_first_lens(scene, fields), {}, np.zeros(3), _DEVIATION)
     everyone = range(len(images))
-    with progress_bar("places", (_PLAIN + _WITH_LOOKS) * len(images)) as advance:
+    with progress_bar("places", (_PLAIN + 1 + _BY_LOOK) * len(images)) as advance:
         for round_number in range(_PLAIN):
             turns, reach = (_TURNS, _REACH) if round_number else (_FIRST_TURNS, _FIRST_REACH)
             trials = {}
@@ -114,19 +118,24 @@ def with_looks(scene: Scene, known: Adjusted, right: Sequence[int], advance: Cal
         right: Which of them are about right.
         advance: Is told of each image.
     """
-    for round_number in range(_WITH_LOOKS):
+    pieces, share = straight_pieces(scene.gps), 0.0
+    for round_number in range(1 + _BY_LOOK):
         by_look = round_number > 0  # images that are wrong together look alike: the first time, edges decide
         shown = shown_by(scene, known.poses, known.lens, right)
+        shown = shown if by_look else shown.edges_alone()
         poses = {}
         for number in known.poses:
-            expected = shown.without(number)
-            told = expected if by_look else expected.edges_alone()
-            poses[number] = _best(scene, number, known, told, right, by_look=by_look)
+            beside = _beside(number, pieces, right)
+            if by_look:
+                beside = [] if number in right else [number, *beside]
+            poses[number] = _best(scene, number, known, shown.without(number), beside, by_look=by_look)
             advance(1)
         known = replace(known, poses=poses)
-        right, share = _sound(scene, known, shown)
-        for steps in _FINE_STEPS:  # each image moves towards the others, and these move, too
-            shown = shown_by(scene, known.poses, known.lens, right)
+        if by_look:
+            right, share = _sound(scene, known, shown)
+        for steps in _FINE_STEPS:
+            if by_look:  # each image moves towards the others, and these move, too
+                shown = shown_by(scene, known.poses, known.lens, right)
             known = adjusted(scene, known, steps, shown)
         right, share = _sound(scene, known, shown)
     return Placement(known, right, share)
@@ -158,17 +167,21 @@ def _searched(scene: Scene, field: Field, place: Array, lens: RigCamera, turns: 
     return best_trial(field, scene.photographs, quarters, lens, turns, edges_of=scene.edges_of, reach=reach)
 
 
+def _beside(number: int, pieces: NDArray[np.int64], right: Sequence[int]) -> list[int]:
+    """Images that look about the way of another: trusted ones of its straight piece, else before and after, else it."""
+    near = sorted(right, key=lambda one: abs(one - number))
+    same = [one for one in near if one != number and pieces[one] == pieces[number] >= 0]
+    return same[:BESIDE] or [one for one in near if 0 < abs(one - number) <= BESIDE] or [number]
+
+
 def _best(
-    scene: Scene, number: int, known: Adjusted, expected: Expected, right: Sequence[int], *, by_look: bool
+    scene: Scene, number: int, known: Adjusted, expected: Expected, beside: Sequence[int], *, by_look: bool
 ) -> Pose:
     """The pose of one image that shows best what the others show, and lies where GPS has it.
 
     Both are judged in standard deviations: what it shows by their number, GPS by half its square, as likelihoods are.
     """
     place, now = scene.gps[number] - known.common_error, known.poses[number]
-    before = [other for other in right if other < number][-_BESIDE:]
-    after = [other for other in right if other > number][:_BESIDE]
-    beside = [] if by_look and number in right else [number, *before, *after]
     image = scene.images[number]
     field = _look_field(image) if by_look else edge_field(image.slopes, working_width=SEARCH_WIDTH)
 
@@ -192,12 +205,18 @@ def _best(
         return max(zip(np.subtract(shows, np.square(off) / 2), ended), key=lambda one: one[0])
 
     trials = [search(Pose(known.poses[one].rotation, place), _TURNS, _REACH) for one in beside]
-    found = [best_of([now, *(pose for trial in trials for pose in (trial.pose, trial.other))])]
-    found.append(best_of([now], _ALONE[_NEARLY_RIGHT:]))
-    for middle in () if by_look else (place, found[0][1].centre):
-        starts = [Pose(found[0][1].rotation, start) for start in middle + known.deviation * _STARTS]
-        found.append(best_of([search(start, _LAST_TURNS, _LAST_REACH).pose for start in starts]))
-    return max(found, key=lambda one: one[0])[1]
+    starts = [pose for trial in trials for pose in (trial.pose, trial.other)]
+    if by_look:
+        found = [best_of([now, *starts]), best_of([now], _ALONE[_NEARLY_RIGHT:])]
+        return max(found, key=lambda one: one[0])[1]
+    most, best = best_of(starts)
+    if np.trace(now.rotation @ best.rotation.T) > _NOT_TURNED:
+        most, best = max((most, best), best_of([now]), key=lambda one: one[0])
+    for middle in (place, best.centre):
+        around = [Pose(best.rotation, start) for start in middle + known.deviation * _STARTS]
+        ended = best_of([search(start, _LAST_TURNS, _LAST_REACH).pose for start in around])
+        most, best = max((most, best), ended, key=lambda one: one[0])
+    return best
 
 
 def _look_field(image: ThermalImage) -> Field:
@@ -209,12 +228,21 @@ def _look_field(image: ThermalImage) -> Field:
 
 def _sound(scene: Scene, known: Adjusted, shown: Shown) -> tuple[list[int], float]:
     """The images that are placed, and the usual share of what others show that an image shows."""
-    agree = {n: agreement(scene, n, pose, known.lens, shown.without(n)) for n, pose in known.poses.items()}
+    lens, poses = known.lens, known.poses
+    agree, across = {}, {}
+    for number, pose in poses.items():
+        expected = shown.without(number)
+        agree[number] = agreement(scene, number, pose, lens, expected)
+        across[number] = spread(scene, number, pose, lens, expected)
     edges, looks = (float(np.median([one[kind] for one in agree.values()])) for kind in (0, 1))
-    off = {n: np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in known.poses.items()}
-    right = [
-        n
-        for n, one in agree.items()
-        if one.edges > _OF_USUAL * edges and one.looks > _OF_USUAL * looks and off[n] < _OFF_GPS * known.deviation
-    ]
-    return right, edges
+    off = {n: np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in poses.items()}
+    turned = turned_from_beside({n: pose.rotation for n, pose in poses.items()})
+    most_turned = _TIMES_TURNED * float(np.median(list(turned.values())))
+
+    def fits(number: int) -> bool:
+        one = agree[number]
+        if looks > 0:
+            return one.edges > _OF_USUAL_LOOK * edges and one.looks > _OF_USUAL_LOOK * looks
+        return bool(one.edges > _OF_USUAL * edges and turned[number] <= most_turned and across[number] > _LEAST_SPREAD)
+
+    return [number for number in poses if fits(number) and off[number] < _OFF_GPS * known.deviation], edges

@@ -22,8 +22,8 @@ from thermosplat.prepare.registration.thermal_edges import normalised, slopes_of
 
 SCALES = (4, 2, 1)
 """Pixels of the image in one of each look: the coarse ones draw poses from farther away."""
-_JUDGED = 1
-"""The scale by which poses are judged: the finest one is noisier. Open choice."""
+_FEWEST_SHOWN = 3
+"""Edge points that have a spread."""
 _WITHIN = np.arange(-1.0, 1.1, 0.5)
 """Offsets [px] along the normal at which an edge is met."""
 _ASIDE = 8.0
@@ -102,10 +102,6 @@ class Expected:
     looks: Array
     seen: Array
 
-    def edges_alone(self) -> "Expected":
-        """The same without looks."""
-        return replace(self, seen=np.zeros_like(self.seen))
-
 
 @dataclass(frozen=True, eq=False)
 class Shown:
@@ -115,11 +111,17 @@ class Shown:
         seen: How many images have each edge point inside, [N].
         total: How many of them show an edge there, and the sum of their looks, [N, 1 + scales].
         images: Numbers of the edge points that each has inside, and what it adds to the total.
+        has_looks: Whether looks are compared.
     """
 
     seen: Array
     total: Array
     images: Mapping[int, tuple[NDArray[np.int64], Array]]
+    has_looks: bool = True
+
+    def edges_alone(self) -> "Shown":
+        """The same without looks."""
+        return replace(self, has_looks=False)
 
     def without(self, number: int) -> Expected:
         """What all images but one tell."""
@@ -161,7 +163,7 @@ class Agreement(NamedTuple):
     edges: float
     """Share of the weight of edge points that it shows, less what it would show by chance."""
     looks: float
-    """Correlation of its look with theirs."""
+    """Correlation of its finest look with theirs."""
     deviations: float
     """Both, in about as many standard deviations as chance would have to make."""
 
@@ -174,10 +176,19 @@ def agreement(scene: Scene, number: int, pose: Pose, lens: RigCamera, expected: 
     inside = max(float(weights.sum()), 1.0)
     edges = float(shown[0] - (shown[1] + shown[2]) / 2) / inside
     known = expected.seen[points] > 0
-    look, theirs = scene.images[number].look(_JUDGED, pixels[known]), expected.looks[points[known], _JUDGED]
+    look, theirs = scene.images[number].look(-1, pixels[known]), expected.looks[points[known], -1]
     looks = float(look @ theirs / np.sqrt((look @ look) * (theirs @ theirs) + 1e-12))
     deviations = edges * np.sqrt(inside) + looks * np.sqrt(known.sum() / _PER_MEASUREMENT)
     return Agreement(edges, looks, float(deviations))
+
+
+def spread(scene: Scene, number: int, pose: Pose, lens: RigCamera, expected: Expected) -> float:
+    """Standard deviation [image widths] of the shown edge points' places across the line that they lie nearest to."""
+    points, pixels, met = _met(scene, number, pose, lens, scene.before(pose, lens, expected.weights), (0.0,))
+    weights = expected.weights[points[met[0]]]
+    if len(weights) < _FEWEST_SHOWN:
+        return 0.0
+    return float(np.sqrt(np.linalg.eigvalsh(np.cov(pixels[met[0]].T, aweights=weights)).clip(0)[0])) / lens.width
 
 
 def _met(
