@@ -41,8 +41,8 @@ _FIRST_REACH, _REACH, _LAST_REACH = 0.19, 0.14, 0.09
 _FIRST_TURNS, _TURNS, _LAST_TURNS = (-4.0, 0.0, 4.0), (-4.0, -2.0, 0.0, 2.0, 4.0), (-1.5, 0.0, 1.5)
 _DEVIATION = 0.5
 """Standard deviation [m] of GPS from image to image to begin with. Open choice."""
-_PLAIN, _BY_LOOK = 3, 1
-"""Rounds before and after the one with edges of temperature alone."""
+_PLAIN, _BY_EDGES, _BY_LOOK = 3, 3, 1
+"""Rounds by all edges, by those of temperature, and by looks, too."""
 _EDGES_OF_PLAIN, _EDGES_OF = 3, 5
 """Photographs whose edges an image is compared with."""
 _STARTS = 1.5 * np.concatenate([np.eye(3), -np.eye(3)])
@@ -95,7 +95,7 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
     scene = Scene(photographs, images, gps, _EDGES_OF_PLAIN)
     known = Adjusted(_first_lens(scene, fields), {}, np.zeros(3), _DEVIATION)
     everyone = range(len(images))
-    with progress_bar("places", (_PLAIN + 1 + _BY_LOOK) * len(images)) as advance:
+    with progress_bar("places", (_PLAIN + _BY_EDGES + _BY_LOOK) * len(images)) as advance:
         for round_number in range(_PLAIN):
             turns, reach = (_TURNS, _REACH) if round_number else (_FIRST_TURNS, _FIRST_REACH)
             trials = {}
@@ -119,8 +119,8 @@ def with_looks(scene: Scene, known: Adjusted, right: Sequence[int], advance: Cal
         advance: Is told of each image.
     """
     pieces, share = straight_pieces(scene.gps), 0.0
-    for round_number in range(1 + _BY_LOOK):
-        by_look = round_number > 0  # images that are wrong together look alike: the first time, edges decide
+    for round_number in range(_BY_EDGES + _BY_LOOK):
+        by_look = round_number >= _BY_EDGES  # images that are wrong together look alike: first, edges decide
         shown = shown_by(scene, known.poses, known.lens, right)
         shown = shown if by_look else shown.edges_alone()
         poses = {}
@@ -138,6 +138,8 @@ def with_looks(scene: Scene, known: Adjusted, right: Sequence[int], advance: Cal
                 shown = shown_by(scene, known.poses, known.lens, right)
             known = adjusted(scene, known, steps, shown)
         right, share = _sound(scene, known, shown)
+    # a wrong image that was drawn to its neighbours shows fewer edges than before, and some right ones look odd
+    right, share = _sound(scene, known, shown_by(scene, known.poses, known.lens, right).edges_alone())
     return Placement(known, right, share)
 
 
