@@ -79,6 +79,8 @@ def test_images_tell_which_edges_are_warm(night: NightFlight) -> None:
     alone = expected_of(night, 3, [3])
     assert not alone.weights.any()
     assert not alone.seen.any()
+    everyone = shown_by(scene_of(night), dict(enumerate(night.poses)), night.lens, range(len(night.poses)))
+    assert not everyone.edges_alone().without(3).seen.any()
 
 
 def test_looks_draw_an_image_to_the_others(night: NightFlight) -> None:

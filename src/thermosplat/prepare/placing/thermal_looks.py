@@ -131,7 +131,8 @@ class Shown:
             seen[points] -= 1
             total[points] -= own
         share = ((total[:, 0] + _BEFORE) / (seen + _OF) - _BY_CHANCE) / (_SURELY - _BY_CHANCE)
-        return Expected(np.where(seen > 0, share.clip(0, 1), 0.0), total[:, 1:] / np.maximum(seen, 1)[:, None], seen)
+        weights, looks = np.where(seen > 0, share.clip(0, 1), 0.0), total[:, 1:] / np.maximum(seen, 1)[:, None]
+        return Expected(weights, looks, seen if self.has_looks else np.zeros_like(seen))
 
 
 def shown_by(scene: Scene, poses: Mapping[int, Pose], lens: RigCamera, trusted: Collection[int]) -> Shown:
