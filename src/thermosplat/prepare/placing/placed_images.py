@@ -11,7 +11,8 @@ what thermal images show alike:
 4. Placed images also tell how the scene looks. Each image is laid onto that, those that are not placed also from where
    their look is found again, and all are adjusted together by edges and looks.
 
-An image counts as placed if edges and looks agree about as well as those of most, and if it lies where GPS has it.
+An image counts as placed if it shows the edges that others show there, about as well as most do, and if it lies where
+GPS has it. Looks draw wrong images away from such edges.
 """
 
 from collections.abc import Callable, Sequence
