@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown
+from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown, compared
 from thermosplat.prepare.placing.world_edges import Pose
 from thermosplat.prepare.registration.edge_alignment import USUAL_WIDTH, matches
 from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera, cross_matrices
@@ -36,9 +36,9 @@ _STEP_IN_DEVIATIONS, _STEP_OF_TURN = 4.0, 0.05
 farther (Levenberg's damping)."""
 _POSE, _LENS, _SHARED = 6, 5, 8
 
-Window = tuple[float, float, int]
+Window = tuple[float, float, int | None]
 """How far an edge is looked for and the scale of its robust weight, as in ``edge_alignment.STAGES``; which of
-``thermal_looks.SCALES`` is compared."""
+``thermal_looks.SCALES`` is compared, None: edges alone."""
 Step = tuple[Sequence[str], Window]
 """Unknowns of the lens that change, and the window."""
 
@@ -152,7 +152,7 @@ def _of_image(
         weight *= _COUNT / max(weight.sum(), _COUNT) / max(scale / 2, _LEAST_SCALE) ** 2
         normal[: _POSE + _LENS, : _POSE + _LENS] = (rows * weight[:, None]).T @ rows
         right[: _POSE + _LENS] = (rows * weight[:, None]).T @ offsets
-    if expected is not None:
+    if expected is not None and window[2] is not None:
         matrix, side = _of_look(scene, number, pose, lens, window[2], expected)
         normal[: _POSE + _LENS, : _POSE + _LENS] += matrix
         right[: _POSE + _LENS] += side
@@ -170,19 +170,14 @@ def _of_look(
     scene: Scene, number: int, pose: Pose, lens: RigCamera, scale: int, expected: Expected
 ) -> tuple[Array, Array]:
     """Normal matrix [11, 11] and right side [11] of an image's look at a scale: its pose and the lens."""
-    camera = pose.camera(lens)
-    points = scene.before(pose, lens)
-    points = points[expected.seen[points] > 0]
-    pixels, depth = camera.project(scene.photographs.edges.points[points])
-    inside = (depth > 0) & (pixels > 0).all(1) & (pixels < [lens.width, lens.height]).all(1)
-    points, pixels = points[inside], pixels[inside]
+    points, pixels, theirs = compared(scene, pose, lens, scale, expected)
     if len(points) < _FEWEST_MATCHES:
         return np.zeros((_POSE + _LENS,) * 2), np.zeros(_POSE + _LENS)
-    image, theirs = scene.images[number], expected.looks[points, scale]
+    image = scene.images[number]
     look, slopes = image.look(scale, pixels), image.look_slopes(scale, pixels)
     residuals = max(float(look @ theirs / (theirs @ theirs + 1e-12)), _LEAST_GAIN) * theirs - look
     deviation = _TO_DEVIATION * float(np.median(np.abs(residuals))) + 1e-9
     weight = 1 / (1 + (residuals / (2 * deviation)) ** 2) ** 2 * expected.seen[points] / (expected.seen[points] + 1)
     weight *= _COUNT / max(weight.sum(), _COUNT) / deviation**2
-    rows = np.einsum("ni,nij->nj", slopes, camera.derivatives(scene.photographs.edges.points[points]))
+    rows = np.einsum("ni,nij->nj", slopes, pose.camera(lens).derivatives(scene.photographs.edges.points[points]))
     return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residuals

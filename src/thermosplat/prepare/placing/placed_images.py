@@ -8,26 +8,30 @@ what thermal images show alike:
 2. All poses, the lens and the common error of GPS are adjusted together, and images are searched again from there.
 3. Placed images tell which edges of photographs are edges of temperature (``thermal_looks``). With these alone each
    image is searched again, from several places around where GPS has it, and the best is kept.
-4. Placed images also tell how the scene looks. Each image is laid onto that, those that are not placed also from where
-   their look is found again, and all are adjusted together by edges and looks.
-
-An image counts as placed if it shows the edges that others show there, about as well as most do, and if it lies where
-GPS has it. Looks draw wrong images away from such edges.
+4. An image counts as placed if it shows what the others show there, about as well as most do, and if it lies where GPS
+   has it. It shows edges and a look, to which nothing was drawn so far: wrong images with many edges look unlike the
+   others.
+5. The placed ones are adjusted together by edges and looks, and judged again.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.prepare.evenly_chosen import evenly_chosen
-from thermosplat.prepare.placing.adjustment import Adjusted, Window, adjusted, aligned
-from thermosplat.prepare.placing.directions_beside import BESIDE, turned_from_beside
+from thermosplat.prepare.placing.adjustment import Adjusted, adjusted, aligned
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
 from thermosplat.prepare.placing.straight_pieces import straight_pieces
-from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown, ThermalImage, agreement, shown_by, spread
+from thermosplat.prepare.placing.thermal_looks import (
+    Expected,
+    Scene,
+    ThermalImage,
+    edges_shown,
+    likeness,
+    shown_by,
+)
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.progress import progress_bar
 from thermosplat.prepare.registration.edge_correlation import FOCAL_LENGTHS, QUARTERS, edge_field, turn_about_axis
@@ -42,31 +46,31 @@ _FIRST_REACH, _REACH, _LAST_REACH = 0.19, 0.14, 0.09
 _FIRST_TURNS, _TURNS, _LAST_TURNS = (-4.0, 0.0, 4.0), (-4.0, -2.0, 0.0, 2.0, 4.0), (-1.5, 0.0, 1.5)
 _DEVIATION = 0.5
 """Standard deviation [m] of GPS from image to image to begin with. Open choice."""
-_PLAIN, _BY_EDGES, _BY_LOOK = 3, 3, 1
-"""Rounds by all edges, by those of temperature, and by looks, too."""
+_PLAIN = 3
+"""Rounds by all edges, before the one by those of temperature."""
 _EDGES_OF_PLAIN, _EDGES_OF = 3, 5
 """Photographs whose edges an image is compared with."""
+_BESIDE = 3
+"""Images before and after one that are beside it."""
 _STARTS = 1.5 * np.concatenate([np.eye(3), -np.eye(3)])
 """Places around one from which an image is searched [standard deviations of GPS]."""
 _CLEAR = 1.15
 """How many times as well as elsewhere edges must agree for an image to be asked first what thermal images show."""
 _NOT_TURNED = 1 + 2 * np.cos(np.radians(25.0))
 """Trace of the largest turn of an image's last pose against its neighbours' direction."""
-_OF_USUAL, _OF_USUAL_LOOK, _OFF_GPS, _LEAST_SPREAD, _TIMES_TURNED = 0.7, 0.6, 4.0, 0.05, 5.0
-"""Share of the usual agreement of edges, and of edges and looks where both are known, standard deviations from GPS,
-spread of what is shown [image widths], and turn against the images beside it [of the usual one], beyond which an image
-is not placed: edges in a corner say little of the rest, and looks tell all of it. Chosen on rendered flights."""
+_OF_USUAL, _OFF_GPS = 0.46, 5.0
+"""Share of what is usual that edges times looks are at least, and standard deviations from GPS at most, for an image to
+be placed. Chosen on rendered flights."""
 _ALL = ("log_f", "k1", "cx", "cy", "k2")
 _PLAIN_STEPS = [
-    *[(_ALL[:1], (10.0, 4.0, 0))] * 3,
-    *[(_ALL[:2], (8.0, 3.0, 0))] * 5,
-    *[(_ALL[:4], (5.0, 2.0, 0))] * 5,
+    *[(_ALL[:1], (10.0, 4.0, None))] * 3,
+    *[(_ALL[:2], (8.0, 3.0, None))] * 5,
+    *[(_ALL[:4], (5.0, 2.0, None))] * 5,
 ]
-_FINE_STEPS = [[(_ALL, window)] * 3 for window in ((3.0, 1.25, 1), (2.0, 0.75, 2), (2.0, 0.75, 2), (1.5, 0.5, 2))]
-_ALONE = [*[(5.0, 2.0, 0)] * 3, *[(3.0, 1.25, 1)] * 3, *[(2.0, 0.75, 2)] * 2]
-_NEARLY_RIGHT = 3
-"""Windows of the adjustments: the lens follows when poses are about right. Of one image alone, and how many
-of these an image does without that is nearly right."""
+_FINE_STEPS = [(_ALL, window) for window in ((3.0, 1.25, None), (2.0, 0.75, None), (1.5, 0.5, None)) for _ in range(4)]
+_LOOK_STEPS = [[(_ALL, window)] * 3 for window in ((3.0, 1.25, 0), (2.0, 0.75, 1), (2.0, 0.75, 1), (1.5, 0.5, 1))]
+_ALONE = [*[(5.0, 2.0, None)] * 3, *[(3.0, 1.25, None)] * 3, *[(2.0, 0.75, None)] * 2]
+"""Windows of the adjustments: the lens follows when poses are about right. Of one image alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +78,8 @@ class Placement:
     """Thermal images in the world.
 
     Args:
-        known: Lens and poses of all images.
-        right: Those that are placed; the poses of the others mean nothing.
+        known: Lens and poses.
+        right: The images that are placed; poses of others mean nothing.
         share: Usual share of what others show that an image shows, less what it would show by chance.
     """
 
@@ -96,7 +100,7 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
     scene = Scene(photographs, images, gps, _EDGES_OF_PLAIN)
     known = Adjusted(_first_lens(scene, fields), {}, np.zeros(3), _DEVIATION)
     everyone = range(len(images))
-    with progress_bar("places", (_PLAIN + _BY_EDGES + _BY_LOOK) * len(images)) as advance:
+    with progress_bar("places", (_PLAIN + 1) * len(images)) as advance:
         for round_number in range(_PLAIN):
             turns, reach = (_TURNS, _REACH) if round_number else (_FIRST_TURNS, _FIRST_REACH)
             trials = {}
@@ -107,40 +111,26 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
             poses = {number: trial.pose for number, trial in trials.items()}
             known = adjusted(scene, replace(known, poses=poses, deviation=_DEVIATION), _PLAIN_STEPS)
         clear = [number for number, trial in trials.items() if trial.clear > _CLEAR]
-        return with_looks(scene._replace(edges_of=_EDGES_OF), known, clear, advance)
-
-
-def with_looks(scene: Scene, known: Adjusted, right: Sequence[int], advance: Callable[[int], object]) -> Placement:
-    """Images that are about placed by edges, placed by what they show alike.
-
-    Args:
-        scene: Edges, images and positions.
-        known: Their poses.
-        right: Which of them are about right.
-        advance: Is told of each image.
-    """
-    pieces, share = straight_pieces(scene.gps), 0.0
-    for round_number in range(_BY_EDGES + _BY_LOOK):
-        by_look = round_number >= _BY_EDGES  # images that are wrong together look alike: first, edges decide
-        shown = shown_by(scene, known.poses, known.lens, right)
-        shown = shown if by_look else shown.edges_alone()
+        scene = scene._replace(edges_of=_EDGES_OF)
+        shown = shown_by(scene, known.poses, known.lens, clear)
+        pieces = straight_pieces(gps)
         poses = {}
-        for number in known.poses:
-            beside = _beside(number, pieces, right)
-            if by_look:
-                beside = [] if number in right else [number, *beside]
-            poses[number] = _best(scene, number, known, shown.without(number), beside, by_look=by_look)
+        for number in everyone:
+            beside = _beside(number, pieces, clear)
+            poses[number] = _best(scene, number, fields[number], known, shown.without(number), beside)
             advance(1)
-        known = replace(known, poses=poses)
-        if by_look:
-            right, share = _sound(scene, known, shown)
-        for steps in _FINE_STEPS:
-            if by_look:  # each image moves towards the others, and these move, too
-                shown = shown_by(scene, known.poses, known.lens, right)
-            known = adjusted(scene, known, steps, shown)
-        right, share = _sound(scene, known, shown)
-    # a wrong image that was drawn to its neighbours shows fewer edges than before, and some right ones look odd
-    right, share = _sound(scene, known, shown_by(scene, known.poses, known.lens, right).edges_alone())
+    return _by_looks(scene, adjusted(scene, replace(known, poses=poses), _FINE_STEPS, shown))
+
+
+def _by_looks(scene: Scene, known: Adjusted) -> Placement:
+    """Images that are about placed by edges, adjusted by what they show alike."""
+    right, share = _sound(scene, known)
+    if not right:
+        return Placement(known, right, share)
+    known = replace(known, poses={number: known.poses[number] for number in right})
+    for steps in _LOOK_STEPS:  # each image moves towards the others, and these move, too
+        known = adjusted(scene, known, steps, shown_by(scene, known.poses, known.lens, right))
+    right, share = _sound(scene, known)
     return Placement(known, right, share)
 
 
@@ -174,19 +164,15 @@ def _beside(number: int, pieces: NDArray[np.int64], right: Sequence[int]) -> lis
     """Images that look about the way of another: trusted ones of its straight piece, else before and after, else it."""
     near = sorted(right, key=lambda one: abs(one - number))
     same = [one for one in near if one != number and pieces[one] == pieces[number] >= 0]
-    return same[:BESIDE] or [one for one in near if 0 < abs(one - number) <= BESIDE] or [number]
+    return same[:_BESIDE] or [one for one in near if 0 < abs(one - number) <= _BESIDE] or [number]
 
 
-def _best(
-    scene: Scene, number: int, known: Adjusted, expected: Expected, beside: Sequence[int], *, by_look: bool
-) -> Pose:
-    """The pose of one image that shows best what the others show, and lies where GPS has it.
+def _best(scene: Scene, number: int, field: Field, known: Adjusted, expected: Expected, beside: Sequence[int]) -> Pose:
+    """The pose of one image that shows best the edges that others show, and lies where GPS has it.
 
-    Both are judged in standard deviations: what it shows by their number, GPS by half its square, as likelihoods are.
+    Both are judged in standard deviations: edges by their number, GPS by half its square, as likelihoods are.
     """
     place, now = scene.gps[number] - known.common_error, known.poses[number]
-    image = scene.images[number]
-    field = _look_field(image) if by_look else edge_field(image.slopes, working_width=SEARCH_WIDTH)
 
     def search(pose: Pose, turns: Sequence[float], reach: float) -> Trial:
         return best_trial(
@@ -197,22 +183,17 @@ def _best(
             turns,
             edges_of=scene.edges_of,
             reach=reach,
-            expected=expected,
-            by_look=by_look,
+            weights=expected.weights,
         )
 
-    def best_of(poses: Sequence[Pose], windows: Sequence[Window] = _ALONE) -> tuple[float, Pose]:
-        ended = [aligned(scene, number, pose, known, windows, expected) for pose in poses]
+    def best_of(poses: Sequence[Pose]) -> tuple[float, Pose]:
+        ended = [aligned(scene, number, pose, known, _ALONE, expected) for pose in poses]
         off = [float(np.linalg.norm(pose.centre - place)) / known.deviation for pose in ended]
-        shows = [agreement(scene, number, pose, known.lens, expected).deviations for pose in ended]
+        shows = [edges_shown(scene, number, pose, known.lens, expected.weights)[1] for pose in ended]
         return max(zip(np.subtract(shows, np.square(off) / 2), ended), key=lambda one: one[0])
 
     trials = [search(Pose(known.poses[one].rotation, place), _TURNS, _REACH) for one in beside]
-    starts = [pose for trial in trials for pose in (trial.pose, trial.other)]
-    if by_look:
-        found = [best_of([now, *starts]), best_of([now], _ALONE[_NEARLY_RIGHT:])]
-        return max(found, key=lambda one: one[0])[1]
-    most, best = best_of(starts)
+    most, best = best_of([pose for trial in trials for pose in (trial.pose, trial.other)])
     if np.trace(now.rotation @ best.rotation.T) > _NOT_TURNED:
         most, best = max((most, best), best_of([now]), key=lambda one: one[0])
     for middle in (place, best.centre):
@@ -222,30 +203,15 @@ def _best(
     return best
 
 
-def _look_field(image: ThermalImage) -> Field:
-    """The coarsest look at the width at which images are searched."""
-    look = image.looks[0]
-    size = (SEARCH_WIDTH, round(SEARCH_WIDTH * look.shape[0] / look.shape[1]))
-    return cv2.resize(look, size, interpolation=cv2.INTER_AREA).astype(np.complex64)
-
-
-def _sound(scene: Scene, known: Adjusted, shown: Shown) -> tuple[list[int], float]:
+def _sound(scene: Scene, known: Adjusted) -> tuple[list[int], float]:
     """The images that are placed, and the usual share of what others show that an image shows."""
     lens, poses = known.lens, known.poses
-    agree, across = {}, {}
-    for number, pose in poses.items():
-        expected = shown.without(number)
-        agree[number] = agreement(scene, number, pose, lens, expected)
-        across[number] = spread(scene, number, pose, lens, expected)
-    edges, looks = (float(np.median([one[kind] for one in agree.values()])) for kind in (0, 1))
-    off = {n: np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in poses.items()}
-    turned = turned_from_beside({n: pose.rotation for n, pose in poses.items()})
-    most_turned = _TIMES_TURNED * float(np.median(list(turned.values())))
-
-    def fits(number: int) -> bool:
-        one = agree[number]
-        if looks > 0:
-            return one.edges > _OF_USUAL_LOOK * edges and one.looks > _OF_USUAL_LOOK * looks
-        return bool(one.edges > _OF_USUAL * edges and turned[number] <= most_turned and across[number] > _LEAST_SPREAD)
-
-    return [number for number in poses if fits(number) and off[number] < _OFF_GPS * known.deviation], edges
+    shown = shown_by(scene, poses, lens, poses)
+    expected = {number: shown.without(number) for number in poses}
+    edges = np.array([edges_shown(scene, n, pose, lens, expected[n].weights)[0] for n, pose in poses.items()])
+    looks = np.array([likeness(scene, n, pose, lens, expected[n]) for n, pose in poses.items()])
+    share = float(np.median(edges))
+    shows = edges.clip(0) * looks.clip(0) > _OF_USUAL * share * np.median(looks)
+    off = np.array([np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in poses.items()])
+    right = shows & (off < _OFF_GPS * known.deviation)
+    return [number for number, is_right in zip(poses, right) if is_right], share

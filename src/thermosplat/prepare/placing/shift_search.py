@@ -1,4 +1,4 @@
-"""Where one thermal image may be: a correlation of edges, or of looks, from where GPS has it.
+"""The first pose of one thermal image: a correlation of edges from where GPS has it.
 
 As in ``edge_correlation``, edges are complex numbers with twice the angle of their normal. Each image is searched
 alone: wind turns a drone by degrees from image to image, which is tens of pixels.
@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.prepare.placing.thermal_looks import Expected
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.registration.edge_correlation import LEAST_COVERED, rotation_between, turn_about_axis
 from thermosplat.prepare.registration.rig_camera import Array, RigCamera
@@ -52,28 +51,26 @@ def best_trial(
     *,
     edges_of: int,
     reach: float,
-    expected: Expected | None = None,
-    by_look: bool = False,
+    weights: Array | None = None,
 ) -> Trial:
     """The pose near some others at which edges agree best.
 
     Args:
-        field: Edges of the thermal image at the working width, or its look.
+        field: Edges of the thermal image at the working width.
         photographs: The photographs.
         starts: Poses to search about.
         lens: The thermal lens.
         turns: Turns about the optical axis that are tried [°].
         edges_of: How many photographs' edges are drawn.
         reach: Largest shift [image widths].
-        expected: What other thermal images show there; None: nothing is known of that.
-        by_look: Whether the field is a look, and not edges.
+        weights: How much each edge point of the photographs counts, 0 to 1; None: all alike.
     """
     found = []
     for start in starts:
         near, peaks = photographs.near(start, edges_of), []
         for turn in turns:
             pose = Pose(turn_about_axis(turn) @ start.rotation, start.centre)
-            drawn = _drawn(photographs, near, pose.camera(lens), field, expected, by_look)
+            drawn = _drawn(photographs, near, pose.camera(lens), field, weights)
             peaks.append([(score, _shifted(pose, lens, cells)) for score, cells in _peaks(field, drawn, reach)])
         found.append(max(peaks, key=lambda two: two[0][0]))
     found.sort(key=lambda two: -two[0][0])
@@ -90,31 +87,21 @@ def _shifted(pose: Pose, lens: RigCamera, cells: Array) -> Pose:
 
 
 def _drawn(
-    photographs: Photographs,
-    near: Sequence[int],
-    camera: RigCamera,
-    field: Field,
-    expected: Expected | None,
-    by_look: bool,
+    photographs: Photographs, near: Sequence[int], camera: RigCamera, field: Field, weights: Array | None
 ) -> Field:
-    """[2h, 2w] edges or looks as the camera sees them, the image in the middle, in units of the field."""
+    """[2h, 2w] the photographs' edges as the camera sees them, the image in the middle, in units of the field."""
     height, width = 2 * field.shape[0], 2 * field.shape[1]
-    counts = None if expected is None else np.minimum(expected.seen, 1.0) if by_look else expected.weights
-    numbers = photographs.before(camera, near, counts)
+    numbers = photographs.before(camera, near, weights)
     edges = photographs.some(numbers)
-    pixels = camera.project(edges.points)[0]
+    pixels, ends = camera.project(edges.points)[0], camera.project(edges.along)[0]
     middle = np.array([camera.width, camera.height]) / 2
     at = np.floor((pixels - middle) * field.shape[1] / camera.width + np.array([width, height]) / 2)
     fits = (at >= 0).all(1) & (at < [width, height]).all(1)
-    if expected is not None and by_look:
-        values = expected.looks[numbers[fits], 0].astype(np.complex128)
-    else:
-        along = camera.project(edges.along)[0][fits] - pixels[fits]
-        values = ((-along[:, 1] + 1j * along[:, 0]) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)) ** 2
-        values *= 1.0 if counts is None else counts[numbers[fits]]
+    along = (ends - pixels)[fits]
+    normal = (-along[:, 1] + 1j * along[:, 0]) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)
     x, y = at[fits].astype(int).T
     drawn, count = np.zeros((height, width), np.complex64), np.zeros((height, width), np.float32)
-    np.add.at(drawn, (y, x), values)
+    np.add.at(drawn, (y, x), normal**2 if weights is None else normal**2 * weights[numbers[fits]])
     np.add.at(count, (y, x), 1)
     parts = [cv2.GaussianBlur(np.ascontiguousarray(part), (0, 0), _BLUR) for part in (drawn.real, drawn.imag)]
     full = np.maximum(cv2.GaussianBlur(count, (0, 0), _BLUR), 1)

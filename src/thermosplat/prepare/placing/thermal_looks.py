@@ -7,7 +7,7 @@ photographs and of temperature agree. An image is judged by what others show, ne
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -20,10 +20,8 @@ from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 from thermosplat.prepare.registration.stereo_edges import sampled
 from thermosplat.prepare.registration.thermal_edges import normalised, slopes_of
 
-SCALES = (4, 2, 1)
-"""Pixels of the image in one of each look: the coarse ones draw poses from farther away."""
-_FEWEST_SHOWN = 3
-"""Edge points that have a spread."""
+SCALES = (2, 1)
+"""Pixels of the image in one of each look: the coarse one draws poses from farther away."""
 _WITHIN = np.arange(-1.0, 1.1, 0.5)
 """Offsets [px] along the normal at which an edge is met."""
 _ASIDE = 8.0
@@ -32,8 +30,6 @@ _BEFORE, _OF = 0.3, 1.0
 """What is taken for known of an edge point before any image: so many of so many images show it. Open choice."""
 _BY_CHANCE, _SURELY = 0.15, 0.75
 """Shares of images from which on an edge point counts, and counts fully: noise meets one in seven."""
-_PER_MEASUREMENT = 4.0
-"""Looks of so many points are as one measurement: neighbouring points look alike. Open choice."""
 
 Picture = NDArray[np.float32]
 
@@ -111,17 +107,11 @@ class Shown:
         seen: How many images have each edge point inside, [N].
         total: How many of them show an edge there, and the sum of their looks, [N, 1 + scales].
         images: Numbers of the edge points that each has inside, and what it adds to the total.
-        has_looks: Whether looks are compared.
     """
 
     seen: Array
     total: Array
     images: Mapping[int, tuple[NDArray[np.int64], Array]]
-    has_looks: bool = True
-
-    def edges_alone(self) -> "Shown":
-        """The same without looks."""
-        return replace(self, has_looks=False)
 
     def without(self, number: int) -> Expected:
         """What all images but one tell."""
@@ -132,7 +122,7 @@ class Shown:
             total[points] -= own
         share = ((total[:, 0] + _BEFORE) / (seen + _OF) - _BY_CHANCE) / (_SURELY - _BY_CHANCE)
         weights, looks = np.where(seen > 0, share.clip(0, 1), 0.0), total[:, 1:] / np.maximum(seen, 1)[:, None]
-        return Expected(weights, looks, seen if self.has_looks else np.zeros_like(seen))
+        return Expected(weights, looks, seen)
 
 
 def shown_by(scene: Scene, poses: Mapping[int, Pose], lens: RigCamera, trusted: Collection[int]) -> Shown:
@@ -158,38 +148,30 @@ def shown_by(scene: Scene, poses: Mapping[int, Pose], lens: RigCamera, trusted: 
     return Shown(seen, total, images)
 
 
-class Agreement(NamedTuple):
-    """How well an image shows what the others show."""
-
-    edges: float
-    """Share of the weight of edge points that it shows, less what it would show by chance."""
-    looks: float
-    """Correlation of its finest look with theirs."""
-    deviations: float
-    """Both, in about as many standard deviations as chance would have to make."""
+def edges_shown(scene: Scene, number: int, pose: Pose, lens: RigCamera, weights: Array) -> tuple[float, float]:
+    """Share of the weight of edge points that an image shows, less what it would show by chance; and how many more."""
+    points, _, met = _met(scene, number, pose, lens, scene.before(pose, lens, weights), (0.0, -_ASIDE, _ASIDE))
+    shown, inside = met.astype(np.float64) @ weights[points], max(float(weights[points].sum()), 1.0)
+    share = float(shown[0] - (shown[1] + shown[2]) / 2) / inside
+    return share, share * float(np.sqrt(inside))
 
 
-def agreement(scene: Scene, number: int, pose: Pose, lens: RigCamera, expected: Expected) -> Agreement:
-    """How well an image shows what the others show."""
-    points, pixels, met = _met(scene, number, pose, lens, scene.before(pose, lens), (0.0, -_ASIDE, _ASIDE))
-    weights = expected.weights[points]
-    shown = met.astype(np.float64) @ weights
-    inside = max(float(weights.sum()), 1.0)
-    edges = float(shown[0] - (shown[1] + shown[2]) / 2) / inside
-    known = expected.seen[points] > 0
-    look, theirs = scene.images[number].look(-1, pixels[known]), expected.looks[points[known], -1]
-    looks = float(look @ theirs / np.sqrt((look @ look) * (theirs @ theirs) + 1e-12))
-    deviations = edges * np.sqrt(inside) + looks * np.sqrt(known.sum() / _PER_MEASUREMENT)
-    return Agreement(edges, looks, float(deviations))
+def compared(
+    scene: Scene, pose: Pose, lens: RigCamera, scale: int, expected: Expected
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Edge points [N] inside an image that others show, their pixels [N, 2], and what others show there at a scale."""
+    points = scene.before(pose, lens)
+    points = points[expected.seen[points] > 0]
+    pixels, depth = pose.camera(lens).project(scene.photographs.edges.points[points])
+    inside = (depth > 0) & (pixels > 0).all(1) & (pixels < [lens.width, lens.height]).all(1)
+    return points[inside], pixels[inside], expected.looks[points[inside], scale]
 
 
-def spread(scene: Scene, number: int, pose: Pose, lens: RigCamera, expected: Expected) -> float:
-    """Standard deviation [image widths] of the shown edge points' places across the line that they lie nearest to."""
-    points, pixels, met = _met(scene, number, pose, lens, scene.before(pose, lens, expected.weights), (0.0,))
-    weights = expected.weights[points[met[0]]]
-    if len(weights) < _FEWEST_SHOWN:
-        return 0.0
-    return float(np.sqrt(np.linalg.eigvalsh(np.cov(pixels[met[0]].T, aweights=weights)).clip(0)[0])) / lens.width
+def likeness(scene: Scene, number: int, pose: Pose, lens: RigCamera, expected: Expected) -> float:
+    """Correlation of an image's finest look with that of the others."""
+    _, pixels, theirs = compared(scene, pose, lens, -1, expected)
+    look = scene.images[number].look(-1, pixels)
+    return float(look @ theirs / np.sqrt((look @ look) * (theirs @ theirs) + 1e-12))
 
 
 def _met(
