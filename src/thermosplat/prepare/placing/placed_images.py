@@ -9,8 +9,8 @@ what thermal images show alike:
 3. Placed images tell which edges of photographs are edges of temperature (``thermal_looks``). With these alone each
    image is searched again, from several places around where GPS has it, and the best is kept.
 4. An image counts as placed if it shows what the others show there, about as well as most do, and if it lies where GPS
-   has it. It shows edges and a look, to which nothing was drawn so far: wrong images with many edges look unlike the
-   others.
+   has it. It shows edges and a look. Nothing was drawn to looks so far, so that wrong images with many edges look
+   unlike the others.
 5. The placed ones are adjusted together by edges and looks, and judged again.
 """
 
