@@ -1,5 +1,6 @@
 """Thermal images of another hour: where true points land, and what is told apart."""
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import cv2
@@ -9,10 +10,10 @@ import pytest
 
 from flown_model import flight
 from night_flight import NightFlight, night_flight
-from thermosplat.prepare.placing.adjustment import Adjusted, Scene, adjusted
+from thermosplat.prepare.placing.adjustment import Adjusted, adjusted, aligned
 from thermosplat.prepare.placing.placed_images import placed_images
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, best_trial
-from thermosplat.prepare.placing.thermal_contours import agreement, contours
+from thermosplat.prepare.placing.thermal_looks import Expected, Scene, ThermalImage, edges_shown, likeness, shown_by
 from thermosplat.prepare.placing.world_edges import Pose
 from thermosplat.prepare.registration.edge_correlation import QUARTERS, edge_field, turn_about_axis
 from thermosplat.prepare.registration.rig_camera import RigCamera
@@ -25,7 +26,7 @@ def night() -> NightFlight:
 
 
 def scene_of(night: NightFlight) -> Scene:
-    return Scene(night.photographs, night.slopes, night.gps, 4)
+    return Scene(night.photographs, night.images, night.gps, 4)
 
 
 @pytest.mark.parametrize("number", [2, 10])
@@ -33,7 +34,7 @@ def test_one_image_is_found_from_a_photograph_near_it(night: NightFlight, number
     """Whichever way the drone flew, within the cells of the search."""
     place = night.gps[number] - night.common_error
     starts = [Pose(turn_about_axis(angle) @ night.photographs.poses[0].rotation, place) for angle in QUARTERS]
-    field = edge_field(night.slopes[number], working_width=SEARCH_WIDTH)
+    field = edge_field(night.images[number].slopes, working_width=SEARCH_WIDTH)
     trial = best_trial(field, night.photographs, starts, night.lens, (-3.0, 0.0, 3.0), edges_of=4, reach=0.15)
     assert night.error(number, trial.pose, night.lens) < 6
     assert trial.clear > 1.1
@@ -48,7 +49,7 @@ def test_poses_lens_and_the_error_of_gps_are_adjusted_together(night: NightFligh
         for number, pose in enumerate(night.poses)
     }
     lens = replace(night.lens, lens=night.lens.lens * [1.05, 1, 1, 1, 1])
-    steps = [*[(("log_f",), 8.0, 3.0)] * 4, *[(("log_f", "k1"), 3.0, 1.0)] * 6]
+    steps = [*[(("log_f",), (8.0, 3.0, None))] * 4, *[(("log_f", "k1"), (3.0, 1.0, None))] * 6]
     found = adjusted(scene_of(night), Adjusted(lens, poses, np.zeros(3), 0.5), steps)
     errors = [night.error(number, pose, found.lens) for number, pose in found.poses.items()]
     assert np.median(errors) < 0.7
@@ -56,28 +57,53 @@ def test_poses_lens_and_the_error_of_gps_are_adjusted_together(night: NightFligh
     assert np.linalg.norm((found.common_error - night.common_error)[:2]) < 0.6
 
 
+def expected_of(night: NightFlight, number: int, trusted: Collection[int] | None = None) -> Expected:
+    """What an image should show by some others at their true poses."""
+    poses = dict(enumerate(night.poses))
+    return shown_by(scene_of(night), poses, night.lens, poses if trusted is None else trusted).without(number)
+
+
 def test_images_tell_which_edges_are_warm(night: NightFlight) -> None:
-    """Paint counts little, roofs much; an image elsewhere shows little of what the others show."""
-    scene = scene_of(night)
-    known = Adjusted(night.lens, dict(enumerate(night.poses)), night.common_error, 0.3)
-    shown = contours(scene, known, range(len(night.poses)))
-    weights = shown.weights(3)
-    seen = shown.seen > 3
-    assert weights[seen & night.warm].mean() > 2 * weights[seen & ~night.warm].mean()
-    right, elsewhere = (
-        agreement(scene, 3, Pose(pose.rotation, pose.centre + shift), night.lens, weights)[1]
-        for pose, shift in ((night.poses[3], np.zeros(3)), (night.poses[3], np.array([2.0, 1.0, 0.0])))
+    """Paint counts little, roofs much; an image elsewhere shows little of what the others show, and looks unlike it."""
+    expected = expected_of(night, 3)
+    seen = expected.seen > 2
+    assert expected.weights[seen & night.warm].mean() > 2 * expected.weights[seen & ~night.warm].mean()
+    true = night.poses[3]
+    right, elsewhere = (replace(true, centre=true.centre + shift) for shift in (np.zeros(3), np.array([2.0, 1.0, 0.0])))
+    of_right, of_elsewhere = (
+        (
+            *edges_shown(scene_of(night), 3, pose, night.lens, expected.weights),
+            likeness(scene_of(night), 3, pose, night.lens, expected),
+        )
+        for pose in (right, elsewhere)
     )
-    assert right > 0.5 > 0.3 > elsewhere
-    assert not contours(scene, known, [3]).weights(3).any()
+    assert of_right[0] > 0.5 > 0.3 > of_elsewhere[0]
+    assert of_right[1] > 2 * of_elsewhere[1]
+    assert of_right[2] > 0.6 > 0.3 > of_elsewhere[2]
+    alone = expected_of(night, 3, [3])
+    assert not alone.weights.any()
+    assert not alone.seen.any()
+
+
+def test_looks_draw_an_image_to_the_others(night: NightFlight) -> None:
+    """Where no edge counts: from four pixels aside to less than one. Edges alone leave it where it was."""
+    expected = replace(expected_of(night, 3), weights=np.zeros(len(night.warm)))
+    start = Pose(cv2.Rodrigues(np.array([0.012, -0.008, 0.01]))[0] @ night.poses[3].rotation, night.poses[3].centre)
+    known = Adjusted(night.lens, {3: start}, night.common_error, 0.3)
+    windows = [(2.0, 1.0, scale) for scale in (0, 0, 0, 0, 0, 0, 1, 1, 1, 1)]
+    found = aligned(scene_of(night), 3, start, known, windows, expected)
+    alone = aligned(scene_of(night), 3, start, known, [(2.0, 1.0, None)] * 10, expected)
+    assert night.error(3, start, night.lens) > 3
+    assert night.error(3, found, night.lens) < 1
+    assert night.error(3, alone, night.lens) > 3
 
 
 @pytest.mark.slow
 def test_images_find_their_places(night: NightFlight) -> None:
     """Nothing is known but GPS: nearly all within two pixels, none wrong, and an image of noise is left out."""
-    noise = np.random.default_rng(0).normal(0, 0.1, night.slopes[5].shape).astype(np.float32)
-    fields = [noise if number == 5 else field for number, field in enumerate(night.slopes)]
-    found = placed_images(night.photographs, fields, night.gps)
+    noise = ThermalImage.of(np.random.default_rng(0).normal(0, 0.1, night.images[5].slopes.shape[:2]))
+    images = [noise if number == 5 else image for number, image in enumerate(night.images)]
+    found = placed_images(night.photographs, images, night.gps)
     errors = {number: night.error(number, found.known.poses[number], found.known.lens) for number in found.right}
     assert 5 not in errors
     assert sum(error < 2 for error in errors.values()) >= 11

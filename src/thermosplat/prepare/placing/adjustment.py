@@ -1,25 +1,30 @@
 """All poses of thermal images, their one lens and the common error of their GPS, adjusted together.
 
 Residuals are distances of edges along their normals, as in ``edge_alignment``, and distances from GPS less its common
-error. Gauss-Newton steps with Geman and McClure's weights change all unknowns at once.
+error. Once some images are placed, they are also differences of an image's look from theirs. Edges tie images to the
+photographs, looks tie them to each other. Gauss-Newton steps with Geman and McClure's weights change all unknowns at
+once.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thermosplat.prepare.placing.world_edges import Photographs, Pose
+from thermosplat.prepare.placing.thermal_looks import Expected, Scene, Shown, compared
+from thermosplat.prepare.placing.world_edges import Pose
 from thermosplat.prepare.registration.edge_alignment import USUAL_WIDTH, matches
 from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCamera, cross_matrices
-from thermosplat.prepare.registration.stereo_edges import EdgePoints
 
 _COUNT = 150.0
-"""So many measurements the edges of an image are worth at most: neighbouring edge points err together."""
+"""So many measurements the edges of an image are worth at most, and its look: neighbouring edge points err together."""
 _LEAST_SCALE = 0.7
 """Standard deviation [px] of an edge's place, at least."""
 _FEWEST_MATCHES = 30
+_TO_DEVIATION = 1.4826
+"""Standard deviation of the median absolute value of a normal distribution."""
+_LEAST_GAIN = 0.3
+"""Contrast of an image beside that of the mean of others, at least. Open choice."""
 _LENS_SPREADS = np.array([np.inf, 0.04, 0.04, 0.6, 0.4])
 """How far the lens is from its usual values, as ``edge_alignment`` has it: only edges tell the focal length."""
 _COMMON_ERROR = 10.0
@@ -31,10 +36,11 @@ _STEP_IN_DEVIATIONS, _STEP_OF_TURN = 4.0, 0.05
 farther (Levenberg's damping)."""
 _POSE, _LENS, _SHARED = 6, 5, 8
 
-Slopes = NDArray[np.float32]
-Step = tuple[Sequence[str], float, float]
-"""Unknowns of the lens that change, and the window: how far an edge is looked for and the scale of its robust weight,
-as in ``edge_alignment.STAGES``."""
+Window = tuple[float, float, int | None]
+"""How far an edge is looked for and the scale of its robust weight, as in ``edge_alignment.STAGES``; which of
+``thermal_looks.SCALES`` is compared, None: edges alone."""
+Step = tuple[Sequence[str], Window]
+"""Unknowns of the lens that change, and the window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,51 +60,26 @@ class Adjusted:
     deviation: float
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """What poses are judged by.
-
-    Args:
-        photographs: The photographs.
-        slopes: Slopes [H, W, 2] of each thermal image.
-        gps: Where GPS has each, [N, 3].
-        edges_of: The edges of how many photographs an image is compared with.
-    """
-
-    photographs: Photographs
-    slopes: Sequence[Slopes]
-    gps: Array
-    edges_of: int
-
-    def edges(self, pose: Pose, lens: RigCamera, weights: Array | None) -> tuple[EdgePoints, Array]:
-        """The edge points that an image may see, and their weights."""
-        camera = pose.camera(lens)
-        numbers = self.photographs.before(camera, self.photographs.near(pose, self.edges_of), weights)
-        return self.photographs.some(numbers), np.ones(len(numbers)) if weights is None else weights[numbers]
-
-
-def adjusted(
-    scene: Scene, known: Adjusted, steps: Sequence[Step], weights: Mapping[int, Array] | None = None
-) -> Adjusted:
+def adjusted(scene: Scene, known: Adjusted, steps: Sequence[Step], shown: Shown | None = None) -> Adjusted:
     """Poses, lens and common error after some steps.
 
     Args:
         scene: Edges and positions.
         known: Where to start.
         steps: The steps.
-        weights: For each image, how much each edge point counts; None: all alike.
+        shown: What placed images show; None: any edge counts.
     """
     numbers = sorted(known.poses)
     poses, lens, common = dict(known.poses), known.lens, known.common_error
     size = _POSE * len(numbers)
-    for names, reach, scale in steps:
+    for names, window in steps:
         normal, right = np.zeros((size + _SHARED,) * 2), np.zeros(size + _SHARED)
         shared = np.arange(size, size + _SHARED)
         for place, number in enumerate(numbers):
             mine = np.concatenate([np.arange(_POSE * place, _POSE * (place + 1)), shared])
-            own = None if weights is None else weights[number]
+            own = None if shown is None else shown.without(number)
             error = scene.gps[number] - common - poses[number].centre
-            matrix, side = _of_image(scene, number, poses[number], lens, (reach, scale), own, error, known.deviation)
+            matrix, side = _of_image(scene, number, poses[number], lens, window, own, error, known.deviation)
             normal[np.ix_(mine, mine)] += matrix
             right[mine] += side
         away = np.concatenate([[0.0], lens.lens[1:] - [lens.width / 2, lens.height / 2, 0, 0], common])
@@ -120,7 +101,7 @@ def adjusted(
 
 
 def aligned(
-    scene: Scene, number: int, pose: Pose, known: Adjusted, steps: Sequence[tuple[float, float]], weights: Array
+    scene: Scene, number: int, pose: Pose, known: Adjusted, windows: Sequence[Window], expected: Expected
 ) -> Pose:
     """The pose of one image after some steps of its own.
 
@@ -129,12 +110,12 @@ def aligned(
         number: The image.
         pose: Where to start.
         known: The lens, and what is known of GPS.
-        steps: The window of each.
-        weights: How much each edge point counts.
+        windows: The window of each.
+        expected: What the image should show.
     """
-    for window in steps:
+    for window in windows:
         error = scene.gps[number] - known.common_error - pose.centre
-        matrix, side = _of_image(scene, number, pose, known.lens, window, weights, error, known.deviation)
+        matrix, side = _of_image(scene, number, pose, known.lens, window, expected, error, known.deviation)
         if not matrix[:3, :3].any():
             return pose
         change = np.linalg.solve(matrix[:_POSE, :_POSE], side[:_POSE])
@@ -152,16 +133,18 @@ def _of_image(
     number: int,
     pose: Pose,
     lens: RigCamera,
-    window: tuple[float, float],
-    weights: Array | None,
+    window: Window,
+    expected: Expected | None,
     error: Array,
     deviation: float,
 ) -> tuple[Array, Array]:
     """Normal matrix [14, 14] and right side [14] of one image: its pose, the lens, the common error of GPS."""
-    reach, scale = np.multiply(window, max(1.0, lens.width / USUAL_WIDTH))
+    reach, scale = np.multiply(window[:2], max(1.0, lens.width / USUAL_WIDTH))
     camera = pose.camera(lens)
-    edges, known = scene.edges(pose, lens, weights)
-    points, offsets, normals = matches(camera, edges, [scene.slopes[number]], reach)
+    numbers = scene.before(pose, lens, None if expected is None else expected.weights)
+    edges = scene.photographs.some(numbers)
+    known = np.ones(len(numbers)) if expected is None else expected.weights[numbers]
+    points, offsets, normals = matches(camera, edges, [scene.images[number].slopes], reach)
     normal, right = np.zeros((_POSE + _SHARED,) * 2), np.zeros(_POSE + _SHARED)
     if len(points) >= _FEWEST_MATCHES:
         rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
@@ -169,6 +152,10 @@ def _of_image(
         weight *= _COUNT / max(weight.sum(), _COUNT) / max(scale / 2, _LEAST_SCALE) ** 2
         normal[: _POSE + _LENS, : _POSE + _LENS] = (rows * weight[:, None]).T @ rows
         right[: _POSE + _LENS] = (rows * weight[:, None]).T @ offsets
+    if expected is not None and window[2] is not None:
+        matrix, side = _of_look(scene, number, pose, lens, window[2], expected)
+        normal[: _POSE + _LENS, : _POSE + _LENS] += matrix
+        right[: _POSE + _LENS] += side
     weight_gps = 1 / (1 + (error @ error) / (_ROBUST * deviation) ** 2) / deviation**2
     moves = np.zeros((3, _POSE + _SHARED))  # the centre is -R't, and R becomes exp([w]x) R
     moves[:, :3] = -camera.rotation.T @ cross_matrices(camera.translation[None])[0]
@@ -177,3 +164,20 @@ def _of_image(
     normal[:_POSE, :_POSE] += moves[:, :_POSE].T @ moves[:, :_POSE] / (_STEP_IN_DEVIATIONS * deviation) ** 2
     normal[range(3), range(3)] += 1 / _STEP_OF_TURN**2
     return normal + weight_gps * moves.T @ moves, right + weight_gps * moves.T @ error
+
+
+def _of_look(
+    scene: Scene, number: int, pose: Pose, lens: RigCamera, scale: int, expected: Expected
+) -> tuple[Array, Array]:
+    """Normal matrix [11, 11] and right side [11] of an image's look at a scale: its pose and the lens."""
+    points, pixels, theirs = compared(scene, pose, lens, scale, expected)
+    if len(points) < _FEWEST_MATCHES:
+        return np.zeros((_POSE + _LENS,) * 2), np.zeros(_POSE + _LENS)
+    image = scene.images[number]
+    look, slopes = image.look(scale, pixels), image.look_slopes(scale, pixels)
+    residuals = max(float(look @ theirs / (theirs @ theirs + 1e-12)), _LEAST_GAIN) * theirs - look
+    deviation = _TO_DEVIATION * float(np.median(np.abs(residuals))) + 1e-9
+    weight = 1 / (1 + (residuals / (2 * deviation)) ** 2) ** 2 * expected.seen[points] / (expected.seen[points] + 1)
+    weight *= _COUNT / max(weight.sum(), _COUNT) / deviation**2
+    rows = np.einsum("ni,nij->nj", slopes, pose.camera(lens).derivatives(scene.photographs.edges.points[points]))
+    return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residuals

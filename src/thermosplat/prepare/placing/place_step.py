@@ -9,10 +9,10 @@ from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow
 from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.placing.placed_images import Placement, placed_images
+from thermosplat.prepare.placing.thermal_looks import ThermalImage
 from thermosplat.prepare.placing.world_edges import photographs_of
 from thermosplat.prepare.registration.rig_camera import Array
 from thermosplat.prepare.registration.rig_model import is_photograph, with_unpaired
-from thermosplat.prepare.registration.thermal_edges import slopes
 from thermosplat.prepare.registration.thermal_images import thermal_images
 from thermosplat.prepare.structure.positions import east_north_up
 from thermosplat.prepare.structure.sfm import write_model
@@ -55,7 +55,7 @@ def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> li
     )
     thermal = thermal_images(capture, [row.file for row in rows], "frames.csv")
     photographs = photographs_of(model, images, capture.root / "images", round(1.5 * thermal[0].shape[1]))
-    found = placed_images(photographs, [slopes(image) for image in thermal], gps[np.isfinite(gps).all(axis=1)])
+    found = placed_images(photographs, [ThermalImage.of(image) for image in thermal], gps[np.isfinite(gps).all(axis=1)])
     if len(found.right) < FEWEST_PLACED or found.share < _LEAST_SHARE:
         raise UserError(
             f"The thermal images of {capture.root} cannot be placed among the photographs: an image shows "

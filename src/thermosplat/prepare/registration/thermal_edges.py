@@ -26,11 +26,24 @@ def slopes(image: NDArray[np.generic]) -> Field:
     Args:
         image: [H, W] values in any unit.
     """
+    return slopes_of(normalised(image))
+
+
+def slopes_of(normal: Field) -> Field:
+    """Slopes [H, W, 2] of an image [H, W] that is locally normalised."""
+    return np.stack([cv2.Sobel(normal, cv2.CV_32F, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))], -1)
+
+
+def normalised(image: NDArray[np.generic]) -> Field:
+    """The image [H, W] less the mean around each pixel, over the contrast there.
+
+    Args:
+        image: [H, W] values in any unit.
+    """
     values = image.astype(np.float32)
     # Immerkaer, Fast Noise Variance Estimation (1996): this mask answers with 6 standard deviations of white noise
     noise = float(np.median(np.abs(cv2.filter2D(values, -1, _LAPLACIAN)))) / _MAD / 6
     smooth = cv2.GaussianBlur(values, (0, 0), _SMOOTHING)
     deviation = smooth - cv2.GaussianBlur(smooth, (0, 0), _NEIGHBOURHOOD)
     contrast = np.sqrt(cv2.GaussianBlur(deviation**2, (0, 0), _NEIGHBOURHOOD))
-    normalised = deviation / (contrast + _NOISE_FLOOR * noise + 1e-6 * float(np.abs(values).max()) + 1e-12)
-    return np.stack([cv2.Sobel(normalised, cv2.CV_32F, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))], -1)
+    return deviation / (contrast + _NOISE_FLOOR * noise + 1e-6 * float(np.abs(values).max()) + 1e-12)
