@@ -1,4 +1,4 @@
-"""What the files of a capture say of their instrument and date, as thermosplat-prepare wrote it into frames.csv."""
+"""What the files of a capture say of their instrument and date, as thermosplat-prepare wrote it into its tables."""
 
 import csv
 import io
@@ -6,24 +6,38 @@ from pathlib import Path
 
 from thermosplat.regular_files import read_regular
 
-TABLE = "frames.csv"
+TABLE, PAIRS = "frames.csv", "pairs.csv"
 _LONGEST = 200
 
 
 def camera_facts(root: Path, spectrum: str) -> dict[str, str]:
     """Instrument and date of a spectrum's images, by names of ``texts.FORM``; what nobody states is missing.
 
+    Where the spectrum's files state no time, as TIFFs of drones do not, the date is that of the images which were taken
+    with them.
+
     Args:
         root: The capture.
         spectrum: The spectrum.
     """
-    try:
-        rows = list(csv.DictReader(io.StringIO(read_regular(root / TABLE).decode("utf-8-sig"))))
-    except (OSError, ValueError, csv.Error):
-        return {}
+    rows = _rows(root / TABLE)
     mine = [row for row in rows if row.get("spectrum") == spectrum]
+    pairs = [pair for pair in _rows(root / PAIRS) if pair.get(spectrum)]
+    partners = {name for pair in pairs for name in pair.values() if isinstance(name, str)}
     cameras = dict.fromkeys(" ".join(filter(None, (row.get("make"), row.get("model")))).strip() for row in mine)
-    times = sorted(filter(None, (row.get("time") for row in mine)))
+    times = _times(mine) or _times([row for row in rows if row.get("file") in partners])
     days = dict.fromkeys(time[:16].replace("T", " ") for time in (times[:1] + times[-1:]))
     said = {"instrument": ", ".join(filter(None, cameras)), "date": " - ".join(days)}
     return {name: text[:_LONGEST] for name, text in said.items() if text}
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """Rows of a table; none where it is missing or damaged."""
+    try:
+        return list(csv.DictReader(io.StringIO(read_regular(path).decode("utf-8-sig"))))
+    except (OSError, ValueError, csv.Error):
+        return []
+
+
+def _times(rows: list[dict[str, str]]) -> list[str]:
+    return sorted(filter(None, (row.get("time") for row in rows)))
