@@ -18,7 +18,7 @@ def test_report_of_a_run(run: Run, finished: Path, tmp_path: Path) -> None:
     """First page, findings, form; what report.yaml says is in the next report, and stays as it is."""
     folder = tmp_path / "a <b> run"
     shutil.copytree(finished, folder)
-    code, printed = run(report.main, folder, "--device", "cpu", "--delta", 0.2)  # of a scene of three steps
+    code, printed = run(report.main, folder, "--device", "cpu", "--delta", 0.05)  # of a scene of three steps
     assert code == 0, printed
     page = (folder / "report" / "report.html").read_text()
     assert "Thermography report" in page
