@@ -90,13 +90,10 @@ def _spectrum(kind: str) -> dict[str, Any]:
 def _quality(run: Path) -> dict[str, Any]:
     """PSNR of photographs and temperatures [dB], what the kind itself is judged by, and the number of Gaussians."""
     metrics = json.loads(RunDirectory(run).metrics_json.read_text(encoding="utf-8"))
-    own = [f"{key} {value:.3f}" for key in ("miou", "cosine", "psnr_bands") if (value := _value(metrics, key))]
+    scores = ((key, metrics[name]) for name in metrics["spectra"] for key in ("miou", "cosine", "psnr_bands"))
+    own = [f"{key} {of_spectrum[key]:.3f}" for key, of_spectrum in scores if key in of_spectrum]
     found = {name: metrics[name]["psnr"] for name in ("rgb", "thermal")}
     return found | {"own": ", ".join(own), "gaussians": metrics["num_gaussians"]}
-
-
-def _value(metrics: dict[str, Any], key: str) -> float | None:
-    return next((metrics[name][key] for name in metrics["spectra"] if key in metrics[name]), None)
 
 
 if __name__ == "__main__":

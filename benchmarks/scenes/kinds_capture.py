@@ -19,10 +19,12 @@ import torch
 from numpy.typing import NDArray
 
 from thermosplat.datasets import load_capture
+from thermosplat.datasets.ground_truth import LABELS
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.thermal.intensity import pixel_intensity
 
-LABEL_NAMES = ("other", "glass", "poster", "hidden_heat", "plastic", "specular")
-"""By number; those of ``rendered_captures``."""
+LABEL_NAMES = tuple(name.replace(" ", "_") for name in LABELS.values())
+"""By number."""
 _NOISE_OF_FEATURES, _NOISE_OF_BANDS = 0.3, 0.01
 _MIDDLES, _WIDTH = (0.85, 0.5, 0.15), 0.25
 """Where red, green and blue lie among the wavelengths, and the standard deviation of their bells."""
@@ -69,7 +71,7 @@ def capture_with_bands(capture: Path, out: Path, channels: int, chosen: int | No
     loaded = load_capture(capture)
     wavelengths = np.linspace(0.0, 1.0, channels)
     if chosen is not None:
-        wavelengths = wavelengths[np.linspace(0, channels - 1, chosen).round().astype(int)]
+        wavelengths = wavelengths[evenly_chosen(channels, chosen)]
     bells = np.exp(-0.5 * np.square((wavelengths[:, None] - np.array(_MIDDLES)) / _WIDTH))
     bells /= bells.sum(axis=1, keepdims=True)
     random = np.random.default_rng(seed)

@@ -207,9 +207,13 @@ def _sound(scene: Scene, known: Adjusted) -> tuple[list[int], float]:
     """The images that are placed, and the usual share of what others show that an image shows."""
     lens, poses = known.lens, known.poses
     shown = shown_by(scene, poses, lens, poses)
-    expected = {number: shown.without(number) for number in poses}
-    edges = np.array([edges_shown(scene, n, pose, lens, expected[n].weights)[0] for n, pose in poses.items()])
-    looks = np.array([likeness(scene, n, pose, lens, expected[n]) for n, pose in poses.items()])
+
+    def judged(number: int) -> tuple[float, float]:
+        expected, pose = shown.without(number), poses[number]
+        share, _ = edges_shown(scene, number, pose, lens, expected.weights)
+        return share, likeness(scene, number, pose, lens, expected)
+
+    edges, looks = np.array([judged(number) for number in poses]).T
     share = float(np.median(edges))
     shows = edges.clip(0) * looks.clip(0) > _OF_USUAL * share * np.median(looks)
     off = np.array([np.linalg.norm(scene.gps[n] - known.common_error - pose.centre) for n, pose in poses.items()])

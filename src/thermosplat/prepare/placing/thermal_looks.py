@@ -134,10 +134,8 @@ def shown_by(scene: Scene, poses: Mapping[int, Pose], lens: RigCamera, trusted: 
         lens: Their lens.
         trusted: Which images.
     """
-    seen, total = (
-        np.zeros(len(scene.photographs.edges.points)),
-        np.zeros((len(scene.photographs.edges.points), 1 + len(SCALES))),
-    )
+    count = len(scene.photographs.edges.points)
+    seen, total = np.zeros(count), np.zeros((count, 1 + len(SCALES)))
     images = {}
     for number in trusted:
         points, pixels, met = _met(scene, number, poses[number], lens, scene.before(poses[number], lens), (0.0,))
