@@ -71,17 +71,17 @@ def test_reflections_are_no_findings(doubts: int, findings: int) -> None:
     assert (len(found.findings), found.not_read) == (findings, 1 - findings)
 
 
-def test_what_stands_out_of_a_warm_part_is_a_finding_too() -> None:
-    """A hot cell of a warm module: the cell and the module, each with its own difference."""
+def test_a_hot_cell_is_apart_from_the_module_beside_it() -> None:
+    """Noise beyond the limit connects them; the hotter one is found first, and each has its own place."""
     values = _wall(0.0)
-    values[10:22, 20:34] += 8.0
-    values[14:18, 28:32] += 6.0
+    values[10:22, 20:32] += 9.0
+    values[14:18, 44:48] += 18.0
+    values[15:17, 32:44] += 2.5
     cell, module = find(_measurer(values), "thermal", limit=2.0).findings
-    if cell.difference > module.difference:
-        cell, module = module, cell
-    assert cell.difference == pytest.approx(6.0, abs=0.3)
+    assert cell.difference == pytest.approx(18.0, abs=0.3)
     assert cell.area == pytest.approx(16 / 40**2, rel=0.05)
-    assert module.area == pytest.approx(12 * 14 / 40**2, rel=0.05)
+    assert module.region.place[0] == pytest.approx((26 - 40) / 40, abs=0.03)
+    assert module.area == pytest.approx(12 * 12 / 40**2, rel=0.05)
 
 
 def test_parts_of_a_pattern_are_one_finding() -> None:

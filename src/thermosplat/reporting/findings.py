@@ -1,12 +1,11 @@
 """Findings: parts of a scene that are warmer, or colder, than a reference.
 
 The reference of a pixel is the median of its like around it (``reporting.likes``), or the mean of a measured area. What
-lies beyond it by more than a limit in most views becomes regions of the scene (``thermography.hot_regions``). What
-stands out of such a region by as much, as a hot cell does of its warm module, becomes a region of its own. In the view
-that sees the most of it a region grows to where half of its difference is left: there it ends. It is no finding where
-little of that is beyond its own like: a road is, beside the lawn, and the road as a whole is not. Where most of its
-pixels must not be read, as glass and chrome, it is none either. What has nothing like it around it, as a car and a
-chimney have nothing, is compared with whatever surrounds it, and listed as a thing.
+lies beyond it by more than a limit in most views becomes regions of the scene (``thermography.hot_regions``), the
+hottest first. In the view that sees the most of it a region grows to where half of its difference is left: there it
+ends. It is no finding where little of that is beyond its own like: a road is, beside the lawn, and the road as a whole
+is not. Where most of its pixels must not be read, as glass and chrome, it is none either. What has nothing like it
+around it, as a car and a chimney have nothing, is compared with whatever surrounds it, and listed as a thing.
 """
 
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from thermosplat.reporting.likes import Elements, photographs_of
 from thermosplat.reporting.patterns import patterns
-from thermosplat.reporting.warm_parts import FEWEST_PIXELS, compact_parts, grown, of_parts, surroundings
+from thermosplat.reporting.warm_parts import FEWEST_PIXELS, compact_parts, grown, surroundings
 from thermosplat.thermography.certainty import DOUBTS, SMALL, Sure
 from thermosplat.thermography.extents import area_of
 from thermosplat.thermography.hot_regions import Region, find_regions
@@ -29,6 +28,9 @@ MOST_FINDINGS = 60
 """Of a report, the farthest from the reference first."""
 MOST_THINGS = 12
 """Half of a page: a client reads no more of what is no finding. Open choice."""
+_LEVELS = (8.0, 4.0, 2.0, 1.0)
+"""Times the limit that is looked beyond, one after the other: noise beyond the limit alone connects a hot cell with the
+next module."""
 _TIMES_USUAL = 4.0
 """Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
 LEAST_DEGREES = 1.0
@@ -37,14 +39,16 @@ _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
 _FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
 """Of a finding: views that agree, and their share of those that see the place."""
-_NEIGHBOURS = 10
-"""Cells that lie between parts of one pattern."""
+_NEIGHBOURS, _ONE_SURFACE = 10, 0.5
+"""Cells that lie between parts of one pattern, and the difference of their references, as a share of the limit."""
 _MOST_OF = 0.5
 """Share of a region that a region in it takes, from which on both are one."""
 _STEP = 0.55
 """Of the cells that connect pixels to regions, as a share of the grid's: little more than a pixel."""
-_HALF = 0.5
-"""Of the limit: the least difference of a region as a whole, as it ends where half of its own is left."""
+_OF_PEAK, _ENOUGH_PIXELS = 1 / (2 * np.log(2)), 36
+"""Least difference of a region, as a share of the limit: what lies beyond half of a Gaussian's peak has this share of
+it in the mean. With fewer pixels, 6x6 by choice, a region differs by more, in proportion to the root of their number:
+at edges of surfaces some pixels are always off."""
 _MOST_DOUBTED = 0.5
 """Share of a finding's pixels that must not be read, from which on it is none."""
 
@@ -129,26 +133,24 @@ def find(
         usual = float(np.median(apart)) if len(apart) else 0.0
         limit = max(_TIMES_USUAL * 1.4826 * usual, least, 1e-6)
 
-    def beyond(of_each: list[Array]) -> list[NDArray[np.bool_]]:
+    def beyond(of_each: list[Array], least: float = limit) -> list[NDArray[np.bool_]]:
         far = [sign * (view.values - around) for view, around in zip(views, of_each)]
-        return [view.there & (np.nan_to_num(one, nan=-np.inf) > limit) for view, one in zip(views, far)]
+        return [view.there & (np.nan_to_num(one, nan=-np.inf) > least) for view, one in zip(views, far)]
 
-    def regions_of(of_each: list[Array]) -> list[NDArray[np.bool_]]:
-        masks = beyond(of_each)
+    def regions_of(of_each: list[Array], least: float) -> list[NDArray[np.bool_]]:
+        masks = beyond(of_each, least)
         return [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
 
     search = _Search(measurer, spectrum, views, sign, limit)
     things: list[Finding] = []
     if reference is None:
-        masks = elements.agreed(regions_of(references))
-        own = [of_parts(view, mask) for view, mask in zip(views, masks)]
-        search.add(elements.agreed(regions_of(own)), own)
-        search.add(masks, references)
+        for times in _LEVELS:
+            search.add(elements.agreed(regions_of(references, times * limit)), references)
         others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
         things = search.things(elements.agreed(beyond(others)), others)
     else:
         search.add(elements.agreed(beyond(references)), references)
-    found = sorted(search.findings, key=search.far, reverse=True)
+    found = search.found()
     more, listed = max(0, len(found) - MOST_FINDINGS), search.readable(things)
     more_things = max(0, len(things) - MOST_THINGS)
     return Found(tuple(found[:MOST_FINDINGS]), listed, limit, search.not_read, more, more_things, tuple(views))
@@ -167,7 +169,7 @@ class _Search:
 
     def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float, limit: float) -> None:
         self._measurer, self._spectrum, self._views = measurer, spectrum, views
-        self._sign, self._least = sign, _HALF * limit
+        self._sign, self._limit = sign, limit
         places = [view.points[::2, ::2][view.there[::2, ::2]] for view in views]
         of_view = np.repeat(np.arange(len(views)), [len(some) for some in places])
         everywhere = np.concatenate(places)
@@ -175,7 +177,8 @@ class _Search:
         self._places, self._of_view = everywhere[order], of_view[order]
         self._known: dict[SearchedView, Sure | None] = {}
         self._cell = grid_cell(views)
-        self.findings: list[Finding] = []
+        self._findings: list[Finding] = []
+        self._doubted: list[Region] = []
         self.not_read = 0
 
     def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
@@ -185,21 +188,25 @@ class _Search:
             masks: Pixels of regions, of each view.
             references: From what; NaN where nobody knows.
         """
-        known, fresh = list(self.findings), list[Finding]()
+        known, fresh = [*self._doubted, *(one.region for one in self._findings)], list[Finding]()
         for region, pixels in self._regions(masks, references):
-            inside = [
-                one for one in known if (np.abs(np.subtract(one.region.place, region.place)) <= region.size).all()
-            ]
-            if any(_holds(one.region, region) for one in inside) or not self._is_agreed(region):
+            inside = [one for one in known if (np.abs(np.subtract(one.place, region.place)) <= region.size).all()]
+            if any(_holds(one, region) for one in inside) or not self._is_agreed(region):
                 continue
             view, around = self._views[region.best_view], references[region.best_view]
             sure = self._sure(view)
             if must_not_be_read(sure, pixels):
                 self.not_read += 1
+                self._doubted.append(region)
                 continue
             parts = [_finding(one, view, part, around, sure) for one, part in compact_parts(region, view, pixels)]
-            fresh += [one for one in parts if self.far(one) > self._least]
-        self.findings += patterns(fresh, _NEIGHBOURS * self._cell)
+            fresh += [one for one in parts if self.far(one) > _OF_PEAK * self._limit]
+        self._findings += fresh
+
+    def found(self) -> list[Finding]:
+        """What was added, the farthest from the reference first."""
+        found = [one for one in self._patterns(self._findings) if self._stands_out(one)]
+        return sorted(found, key=self.far, reverse=True)
 
     def things(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> list[Finding]:
         """Regions as things, the farthest from the reference first, before anybody asks whether they may be read.
@@ -213,7 +220,7 @@ class _Search:
             if self._is_agreed(region):
                 view, around = self._views[region.best_view], references[region.best_view]
                 fresh += [_finding(one, view, part, around, None) for one, part in compact_parts(region, view, pixels)]
-        return sorted(patterns(fresh, _NEIGHBOURS * self._cell), key=self.far, reverse=True)
+        return sorted(self._patterns(fresh), key=self.far, reverse=True)
 
     def readable(self, things: list[Finding]) -> tuple[Finding, ...]:
         """The first things that may be read, at most ``MOST_THINGS``."""
@@ -226,6 +233,13 @@ class _Search:
             else:
                 listed.append(one)
         return tuple(listed)
+
+    def _patterns(self, findings: list[Finding]) -> list[Finding]:
+        return patterns(findings, _NEIGHBOURS * self._cell, _ONE_SURFACE * self._limit)
+
+    def _stands_out(self, one: Finding) -> bool:
+        """Whether it is far enough from its reference for so few pixels."""
+        return self.far(one) > self._limit * float(np.sqrt(_ENOUGH_PIXELS / one.pixels.sum()))
 
     def far(self, one: Finding) -> float:
         """How far a finding is from its reference."""

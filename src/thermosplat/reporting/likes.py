@@ -31,7 +31,12 @@ _OFF_PLANE, _COSINE, _CONTRAST = 0.1, 0.9, 0.06
 """Share of the radius, cosine of the angle between normals, and difference of colours in [0, 1] of what is alike."""
 _NEAREST_COLORS = 0.5
 """Share of what is alike that counts, the nearest in colour: a dark roof is almost as blue as modules on it. Chosen on
-two trainings of a flight."""
+three flights, as the next one is."""
+_TONE = 0.7
+"""Weight of the shares of red, green and blue where colours are compared; the rest is that of their values, which shade
+changes, too."""
+_BLACK = 0.01
+"""Added to the sum of a colour that is divided by it."""
 _AROUND = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
 _VOTES = 0.5
 """Share of the pixels that see an element, which must agree."""
@@ -139,8 +144,10 @@ class Elements:
         like = (apart < _OFF_PLANE * self._radius) & (np.abs(normals[mine] @ normals[near].T) > _COSINE)
         squares = (x[mine] ** 2).sum(axis=1)[:, None] + (x[near] ** 2).sum(axis=1) - 2 * x[mine] @ x[near].T
         like &= squares < self._radius**2
+        shares = colors / (colors.sum(axis=1, keepdims=True) + _BLACK)
         contrast = sum(np.abs(colors[mine, k][:, None] - colors[near, k]) for k in range(3))
-        contrast = np.where(like & (contrast < 3 * _CONTRAST), contrast, np.inf)
+        tones = sum(np.abs(shares[mine, k][:, None] - shares[near, k]) for k in range(3))
+        contrast = np.where(like & (contrast < 3 * _CONTRAST), _TONE * tones + (1 - _TONE) * contrast, np.inf)
         count = np.isfinite(contrast).sum(axis=1)
         known = np.flatnonzero(count >= _FEWEST_LIKE)
         kept = np.maximum((_NEAREST_COLORS * count[known]).astype(np.intp), _FEWEST_LIKE)

@@ -43,16 +43,6 @@ def surroundings(seen: SearchedView) -> Array:
     return median
 
 
-def of_parts(seen: SearchedView, mask: NDArray[np.bool_]) -> Array:
-    """The median of each part of a mask, in all of its pixels, [H, W]."""
-    of_each = np.array(seen.values)
-    count, parts = cv2.connectedComponents(mask.astype(np.uint8))
-    for part in range(1, count):
-        mine = parts == part
-        of_each[mine] = np.median(seen.values[mine])
-    return of_each
-
-
 def grown(seen: SearchedView, mask: NDArray[np.bool_], references: Array, sign: float) -> NDArray[np.bool_]:
     """Each part of a mask [H, W] up to where half of its difference is left, without parts of larger surfaces."""
     everything = np.zeros_like(mask)
