@@ -161,7 +161,6 @@ class BlendVariant:
         """Name of one of the kernels.
 
         Args:
-            kernel: what it does.
             of_arrays: it depends on how features lie in arrays.
         """
         apart = f"_{self.first_channels}" if of_arrays and self.first_channels < self.channels else ""

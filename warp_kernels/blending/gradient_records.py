@@ -27,7 +27,6 @@ def features_apart(channels: int, by_pair: bool) -> bool:
     """Whether features' gradients are summed where they lie, and records have none.
 
     Args:
-        channels: of the features of one array.
         by_pair: records are stored one a pair and warp.
 
     Returns:

@@ -87,7 +87,6 @@ def image_losses(
     Args:
         renders: 1 to TERMS images [H, W, Ct] of one size, any strides; H and W above 5.
         targets: [H, W, Ct] each.
-        settings: what the losses are made of.
         sums: [3 C, tiles_of(H, W)], output: losses without weights, squared errors, absolute differences.
         derivatives: [3 C, H, W], output for ``image_losses_adjoint``; [0, 0, 0] where it is not wanted.
     """

@@ -86,7 +86,6 @@ class ArrayView:
         """Gives the array a gradient of its own shape and type, whose elements follow one another.
 
         Args:
-            ptr: address.
             owner: as in the constructor.
         """
         self.grad = ArrayView(ptr, self.shape, self.dtype, self.device, owner)
@@ -200,10 +199,6 @@ memory = _Memory()
 def empty(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
     """A new array, not initialised: a ``wp.array``, or a view of memory of whoever set ``memory.source``.
 
-    Args:
-        shape: extents.
-        dtype: Warp type of an element.
-
     Returns:
         The array.
     """
@@ -212,10 +207,6 @@ def empty(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
 
 def zeros(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
     """As ``empty``, filled with zeros.
-
-    Args:
-        shape: extents.
-        dtype: Warp type of an element.
 
     Returns:
         The array.

@@ -28,9 +28,6 @@ def total_function(dtype: type):
 def lane_sum_function(length: int):
     """A sum of float64 vectors over all lanes of a warp, which all call it together; always in the same order.
 
-    Args:
-        length: of the vectors.
-
     Returns:
         A Warp function (sums, row, lane, vector) that stores the sum in ``sums[row]``; on the CPU, the vector itself.
     """
@@ -51,7 +48,6 @@ def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, i
     for up to 32. Other lengths are cut into powers of two. CUDA only: on the CPU a warp is one lane.
 
     Args:
-        length: Components of the vector.
         apart: None: one warp owns the place and stores all components there. Otherwise several warps meet: components
             are added atomically, those of these half-open ranges to ``array[index]`` of the array of that name, the
             others side by side to ``dst[index]``.

@@ -43,8 +43,6 @@ class StoredModule(NamedTuple):
         """Where Warp keeps what it compiles of a kernel.
 
         Args:
-            kernel: not generic.
-            device: where it is launched.
             block: threads of a block on CUDA.
         """
         module, block = kernel.module, 1 if device.is_cpu else block

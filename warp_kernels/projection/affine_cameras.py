@@ -178,7 +178,6 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     """The forward kernel, one thread an (image, Gaussian) pair.
 
     Args:
-        model: of the lenses.
         rolling: Lines are read out at different times.
 
     Returns:

@@ -74,7 +74,6 @@ def project_through_lenses(
     Args:
         gaussians: inputs, with quats and scales.
         lenses: of the images; also takes what the adjoint reads.
-        lens: what they have in common.
         settings: image size, planes and mode; its camera model is not used.
         projected: outputs, one entry an (image, Gaussian) pair.
     """
@@ -113,8 +112,6 @@ def project_through_lenses_adjoint(
         gaussians: as in ``project_through_lenses``.
         lenses: as it left them, with ``slopes``.
         lens: as in ``project_through_lenses``.
-        settings: likewise.
-        projected: what it wrote.
         store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
         add_to_means: also with ``store``, the means' gradient is added to.
     """

@@ -80,9 +80,6 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
 def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Features and spreads of pixels.
 
-    Args:
-        channels: features of a pixel.
-
     Returns:
         ``(take_spreads, take_spreads_adjoint)``, one thread per pixel; the first is launched over ``whole_warps``.
     """

@@ -85,7 +85,6 @@ def add_position_noise(
         seconds: [N], what α_t is computed from; [0]: there is none.
         is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
         normals: vec3 [N], η.
-        strength: a factor.
         rate: float32 [1], another.
         gate: k and t.
         blocked: float32 [1]; not 0: add nothing.

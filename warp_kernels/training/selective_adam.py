@@ -62,7 +62,6 @@ def update_visible(
         exp_avgs: [N · length], first moments.
         exp_avg_sqs: [N · length], second moments.
         visible: bool [N].
-        rate: learning rate.
         betas: decay of the moments.
         epsilon: added to the denominator.
     """

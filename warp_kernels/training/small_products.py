@@ -59,7 +59,6 @@ def multiply(matrices: wp.array, columns: wp.array, products: wp.array, *, trans
         matrices: [N, K, K].
         columns: vec3 [N, K].
         products: vec3 [N, K], output.
-        transposed: Multiply the transposes.
     """
     kernel = small_product_kernels(matrices.dtype)[transposed]
     launch(kernel, columns.shape[0] * columns.shape[1], [matrices, columns, products], columns.device)

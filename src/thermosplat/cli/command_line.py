@@ -27,7 +27,6 @@ def parse_command_line(
 
     Args:
         kind: Frozen dataclass; its docstring and those of its fields are the help.
-        prog: The program's name.
         default: What holds where no flag says otherwise. None: the dataclass's defaults.
 
     Raises:

@@ -13,7 +13,6 @@ def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: l
     Args:
         kind: As of ``parse_command_line``, with a flag ``debug``.
         body: What the program does; returns the exit code.
-        prog: The program's name.
 
     Returns:
         The exit code, as ``run_command`` has it.

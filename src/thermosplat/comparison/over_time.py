@@ -29,10 +29,6 @@ def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence
     """One row for each place whose temperature changed, then one for each measurement.
 
     A place that changed at several dates has one row, under its first name.
-
-    Args:
-        maps: What they show on the grid.
-        changes: Of each later date against the first.
     """
     rows, places = [], list[NDArray[np.bool_]]()
     for date, found in zip(dates[1:], changes):

@@ -76,7 +76,6 @@ def shared_frame(
 
     Args:
         first: Run and capture of the first date.
-        other: Those of the other.
         spectrum: Photographs that both have.
         start: About where the other scene lies in the first, by GPS; it only tells which photographs are near.
 

@@ -78,7 +78,6 @@ def from_dict(
 
     Args:
         values: Nested dictionary as `to_dict` makes it.
-        source: What to call its origin in error messages.
         notes: As ``without_gone_settings``'s.
 
     Raises:

@@ -96,11 +96,7 @@ _CHOICES = {"decoder_precision": ("bfloat16", "Decoders train in float32 or tf32
 
 
 def gone(name: str) -> Gone | None:
-    """What became of a setting; None where there is one of that name, or never was.
-
-    Args:
-        name: Its dotted name.
-    """
+    """What became of a setting; None where there is one of that name, or never was."""
     first, _, rest = name.partition(".")
     return GONE.get(f"spectra.*.{rest.partition('.')[2]}" if first == "spectra" else name)
 

@@ -192,11 +192,7 @@ def read_sample(
     """What the images of one spectrum are, by some of them.
 
     Args:
-        root: The capture's folder.
-        name: The spectrum's name.
-        spectrum: Its settings.
         sample: Indices of those that are read.
-        headers: Of all files.
         listing: What the layout knows of the capture.
 
     Returns:
@@ -227,10 +223,6 @@ def unread_pixels(
     """An exposure as its headers describe it; None where it lacks the file that images are made of.
 
     Args:
-        shot: The exposure.
-        spectrum: The spectrum's settings.
-        meaning: What its files are.
-        headers: Of all files.
         cache: Keeps what is made of the files.
 
     Raises:

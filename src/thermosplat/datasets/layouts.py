@@ -36,7 +36,6 @@ def list_capture(root: Path, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     A model that has images of several spectra is a rig, whatever the folders.
 
     Args:
-        root: The folder.
         spectra: The spectra to look for, in order.
 
     Raises:

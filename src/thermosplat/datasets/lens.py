@@ -154,10 +154,8 @@ def positions_in_file(
     """Where places of the pinhole image lie in a file's image.
 
     Args:
-        lens: The file's camera.
         width: Width of the file's image [px].
         height: Height of the file's image [px].
-        camera: The pinhole camera.
         places: x and y in the pinhole image [px], shape [..., 2].
 
     Returns:

@@ -35,7 +35,6 @@ class PixelCache:
 
         Args:
             folder: The folder; it exists. Files of other keys in it, which older settings left, are deleted.
-            keys: The keys there will be.
         """
         for file in folder.iterdir():
             if KEPT_PIXELS.fullmatch(file.name) and file.name.partition(".")[0] not in keys:

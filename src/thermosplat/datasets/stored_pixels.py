@@ -64,9 +64,7 @@ def seen_by(camera: Camera, lens: Lens | None, pixels: SpectrumPixels) -> Spectr
     """Pixels of a file as the view's camera sees them: undistorted, and of its size.
 
     Args:
-        camera: The view's camera.
         lens: The lens whose distortion is taken out; None: it stays.
-        pixels: The file's pixels.
     """
     height, width, channels = pixels.image.shape
     ideal = None if lens is None else rectification(lens, width, height)

@@ -74,7 +74,6 @@ class GatheredRows(torch.autograd.Function):
 
         Args:
             ctx: What the backward pass reads.
-            own: This rank's.
             counts: Rows of each rank.
         """
         rank, longest = dist.get_rank(), max(counts)

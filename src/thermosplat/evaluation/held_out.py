@@ -147,7 +147,6 @@ def evaluate(
         capture: Its capture; ``capture.test`` is rendered.
         lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
         strips_dir: Folder for one PNG per frame: ground truth, render and error of its spectra.
-        csv_path: File for the numbers of every view.
         temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:

@@ -107,7 +107,6 @@ def held_out_motions(
     Args:
         model: The scene; it stays as it is.
         capture: The capture, whose ``test`` frames are looked at.
-        config: Weights of the image losses.
 
     Returns:
         (r, t) by the frame's name [rad, scene extents], shape [6], the best of all updates.

@@ -116,8 +116,6 @@ def write_regions(
     """Measure ``region_errors`` and write the run's regions.json; without ground truth nothing is written.
 
     Args:
-        run: The run folder.
-        steps: Training steps done.
         path: Another file in place of regions.json.
         temperatures: As of ``region_errors``.
 

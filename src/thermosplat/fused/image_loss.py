@@ -85,7 +85,6 @@ def warp_image_losses(
         terms: At least one; the kernels compare ``TERMS`` of them in a launch. Their images receive gradients.
         ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
         smoothed: The term whose image's mean |∂x| + |∂y| is a loss too (``losses.smoothness``).
-        smoothness: The weight of that loss.
     """
     losses: list[Tensor] = []
     squared_errors: list[Tensor] = []

@@ -40,9 +40,7 @@ def add_noise_to_means(
     """μ += strength · rate · sigmoid(k (t - o)) Σ η, in place, o being the larger opacity. Never waits for the device.
 
     Args:
-        gaussians: The set.
         normals: η, shape [N, 3].
-        strength: A factor.
         rate: Another, float32 scalar on the device.
         gate: k and t.
         blocked: float32 scalar; not 0: add nothing.

@@ -81,9 +81,6 @@ def compare_frame(
     A term whose weight is 0, or whose render or target is missing, is not computed and not listed.
 
     Args:
-        rendered: What the model rendered of the frame.
-        frame: The ground truth.
-        config: The weights.
         fused: By Warp's kernels, all in the same few launches, or by ``ssim_map``, which is held to kornia's. None:
             on CUDA the first, on the CPU, where they are faster, the second.
 
@@ -146,7 +143,6 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
     """The image losses that apply to a frame (equations 10 and 11): first those of images, then those of features.
 
     Args:
-        rendered: The render.
         config: Weights; what has none is left out.
     """
     return _of_images_first(_losses_of_spectra(rendered, frame, config))
@@ -249,7 +245,6 @@ def balanced_losses(
     updates hardly depend on the scale of a loss.)
 
     Args:
-        losses: Weighted terms by name.
         spectra: The spectrum of each term that is one spectrum's.
         num_gaussians: Gaussians by spectrum, whose set it is; two at least.
 

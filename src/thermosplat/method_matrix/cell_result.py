@@ -93,10 +93,6 @@ def read_regions(folder: Path, steps: int) -> "Regions | None":
 def result_from(values: Any, path: Path) -> CellResult:
     """A cell's result from its JSON object.
 
-    Args:
-        values: The object.
-        path: The file it comes from, for the error message.
-
     Raises:
         UserError: Something is missing, or it is of another version.
     """

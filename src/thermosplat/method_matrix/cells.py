@@ -109,10 +109,8 @@ def cell_config(
     """The configuration of a cell.
 
     Args:
-        preset: The method's preset or YAML file.
         max_steps: Steps of a method that has 30,000; others in proportion. None: as the method has it.
         save_every: Steps between checkpoints; 0: only the last step's.
-        **changes: Other fields of the configuration.
     """
     config = load_config(preset)
     if max_steps is not None:

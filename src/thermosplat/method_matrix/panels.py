@@ -61,11 +61,7 @@ def shown_frames(frames: Sequence[Frame]) -> list[Frame]:
 def write_panels(
     folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
 ) -> None:
-    """Render the kept frames and write their pictures.
-
-    Args:
-        folder: The cell's run folder.
-    """
+    """Render the kept frames and write their pictures."""
     index: list[dict[str, Any]] = []
     pictures = plain_folder(folder, FOLDER)
     for frame in shown_frames(capture.test):

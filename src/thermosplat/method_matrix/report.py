@@ -17,7 +17,6 @@ def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
     """Write the report of all finished cells.
 
     Args:
-        out: The matrix's folder; gets the files.
         merged: Folders with cells that were made elsewhere.
 
     Returns:

@@ -19,8 +19,6 @@ def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]
     """Write the sheets of a scene: ``sheets/<scene>_<frame>.png``.
 
     Args:
-        out: The matrix's folder.
-        scene: The scene's name.
         cells: Run folder of each method's cell, in the order of the rows; one without pictures is left out.
 
     Returns:

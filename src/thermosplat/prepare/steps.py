@@ -49,7 +49,6 @@ def run_step(
     """Do a step, or repeat what it said if it is complete.
 
     Args:
-        capture: The capture.
         step: One of ``STEPS``.
         work: Does the step and returns what it found, in sentences. It may go on with what an interrupted one left.
         settings: All that decides the result, as plain values.

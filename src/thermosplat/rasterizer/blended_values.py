@@ -84,7 +84,6 @@ def check_values(name: str, values: Any, sh_degree: int | None, means: Tensor, c
     """Checks what is blended.
 
     Args:
-        name: of the argument.
         values: as in ``BlendedValues``.
         sh_degree: likewise.
         means: [..., N, 3].

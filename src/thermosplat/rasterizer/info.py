@@ -222,7 +222,6 @@ def num_nonfinite(
         inputs: each with its number of values per Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
             camera and then Gaussian by Gaussian.
         cameras: view matrices and intrinsics, scene by scene.
-        scenes: number of scenes.
         num_gaussians: N, Gaussians of a scene.
 
     Returns:

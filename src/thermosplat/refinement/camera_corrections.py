@@ -154,7 +154,6 @@ class CameraCorrections(nn.Module):
         """Orthonormal directions of a camera's free coordinates, shape [free, n].
 
         Args:
-            number: The camera.
             distortion: All of them; else those that leave k1 and k2 as they are.
         """
         free = self._free[number]
@@ -164,9 +163,6 @@ class CameraCorrections(nn.Module):
 
     def forward(self, frame: FrameTensors) -> FrameTensors:
         """A training frame with its cameras corrected; no value is read back.
-
-        Args:
-            frame: The frame; it knows its index.
 
         Returns:
             The frame, through whose cameras gradients reach the corrections.

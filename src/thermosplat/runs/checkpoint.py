@@ -133,10 +133,6 @@ class Checkpoint:
     def from_state(cls, state: dict[str, Any], path: Path) -> "Checkpoint":
         """The inverse of ``state``. Every entry is there and of its kind; what is in tensors is not looked at.
 
-        Args:
-            state: The content of a file of today's format.
-            path: The file, for messages.
-
         Raises:
             UserError: An entry is missing, or is something else than it must be.
         """

@@ -43,7 +43,6 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
     """Write a checkpoint, atomically.
 
     Args:
-        path: The file to write.
         state: Its content (``Checkpoint.state``).
 
     Returns:
@@ -95,7 +94,6 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
     """Read a checkpoint.
 
     Args:
-        path: A file that :func:`save_checkpoint` wrote.
         device: Where its tensors go.
 
     Returns:

@@ -67,7 +67,6 @@ class RunDirectory:
 
         Args:
             path: The result folder; made where there is none. Files that no run wrote are left alone.
-            overwrite: Delete what an earlier run left there.
 
         Raises:
             UserError: If the folder already holds a run, or is a file.

@@ -82,7 +82,6 @@ def decode_in_parts(decode: Decode, inputs: Mapping[str, Tensor]) -> dict[str, T
     """The decoded images of some spectra, as ``decode`` gives them.
 
     Args:
-        decode: A decoder's.
         inputs: What they take by spectrum, at least one, all of shape [H, W, d].
     """
     height, width = next(iter(inputs.values())).shape[:2]

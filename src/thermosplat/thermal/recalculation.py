@@ -68,7 +68,6 @@ class Recalculation:
         Args:
             parameters: The capture's; None: it says nothing, and its temperatures are taken for those of black bodies
                 right before the lens.
-            settings: What is asked for.
             surfaces: The same by label.
         """
         said = _UNSTATED if parameters is None else parameters.stated

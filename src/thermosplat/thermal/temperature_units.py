@@ -136,9 +136,6 @@ def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: s
     Args:
         low: Low end of the values (a percentile).
         high: High end.
-        unit: The stated unit.
-        folder: Where the values come from, for the message.
-        spectrum: Name of the spectrum, for the message.
 
     Raises:
         UserError: The values are outside of what anything measured can be; the hint names the unit they look like.

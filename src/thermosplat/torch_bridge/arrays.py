@@ -64,7 +64,6 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
 
     Args:
         tensor: contiguous; the array does not keep it alive.
-        kind: Warp type of an element.
         shape: extents; none: one dimension.
 
     Returns:

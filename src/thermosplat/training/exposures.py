@@ -57,7 +57,6 @@ class Exposures(nn.Module):
         The features that are compared with the same image change with it: those of photographs and scalars.
 
         Args:
-            rendered: The render.
             index: The frame, int64 scalar on the device.
         """
         changed = replace(rendered, images=dict(rendered.images), features=dict(rendered.features))

@@ -70,7 +70,6 @@ class NewScenes:
         """A scene on the device.
 
         Args:
-            start: How it starts.
             checkpoint: What it goes on from, of several ranks this one's share; None: the capture's points.
 
         Raises:

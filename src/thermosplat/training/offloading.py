@@ -59,7 +59,6 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device, *, div
 
     Args:
         model: The model at the start of the training or as it was resumed, anywhere.
-        device: The device that trains it.
         divided: Whether several processes train it.
 
     Raises:
@@ -131,7 +130,6 @@ class SetSize(NamedTuple):
         """Of a model's set, which grows to so many Gaussians.
 
         Args:
-            name: Of the set.
             most: Gaussians; fewer than there are have no effect.
         """
         gaussians = model.gaussians(name)
@@ -150,7 +148,6 @@ class SetSize(NamedTuple):
         """Bytes on the device.
 
         Args:
-            kind: What is offloaded.
             growing: Also of a refinement, which copies parameters and moments; else of a step.
         """
         here = self.floats if kind == "nothing" else self.floats - self.movable
@@ -162,7 +159,6 @@ class SetSize(NamedTuple):
         """Bytes in the host's memory.
 
         Args:
-            kind: What is offloaded.
             growing: As in ``on_device``; of a refinement, which has parameters there, too.
         """
         if kind == "nothing":

@@ -49,10 +49,7 @@ class Recipe:
 
         Args:
             asked: The configuration as it was given.
-            capture: What is trained on.
-            frames: Its training frames.
             checkpoint: What it goes on from; None: it begins.
-            tolerances: Of a budget.
         """
         known = None if checkpoint is None else checkpoint.training.noisy
         facts = SensorFacts(asked, partial(training_noise, frames), known, partial(times_as_wide, capture))

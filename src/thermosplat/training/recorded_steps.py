@@ -91,13 +91,7 @@ class RecordedSteps:
         self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
     def run(self, frames: tuple[FrameTensors, ...], plan: Plan, kind: StepKind) -> StepValues:
-        """Do one step; the next one overwrites the values.
-
-        Args:
-            frames: This rank's.
-            plan: Of all ranks.
-            kind: What is done with them.
-        """
+        """Do one step; the next one overwrites the values."""
         if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
             self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()

@@ -37,7 +37,6 @@ def observed_in_order(rendered: RenderedFrame, numbers: dict[str, int]) -> dict[
 
     Args:
         rendered: The frame, after its backward pass.
-        numbers: Gaussians of each set.
     """
     return {
         name: [_in_order(info, rendered.in_view[name], numbers[name]) for info in infos]

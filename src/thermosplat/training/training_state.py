@@ -202,7 +202,6 @@ class TrainingState:
 
         Args:
             step: The step to come, from 1.
-            config: The rates.
         """
         self.clear_gradients()
         self.budget.trimmed = False

@@ -110,9 +110,6 @@ class TrainingStep:
         """Render the frames, compare them with their images, and leave the gradients on the parameters.
 
         Args:
-            frames: This rank's, one for each round of the plan.
-            kind: What is done with them.
-            plan: The step's frames.
             fixed_capacity: Render without reading numbers of pairs back.
 
         Raises:
@@ -273,10 +270,6 @@ class TrainingStep:
         """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
 
         The step counts as done as soon as they are, whatever becomes of the rest.
-
-        Args:
-            kind: What is done with the frame.
-            done: What :meth:`gradients` returned.
         """
         config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
@@ -321,9 +314,6 @@ def _seen(rendered: RenderedFrame, name: str, number: int, groups: Collection[Gr
     """Which Gaussians of a set the first camera of its calls sees, bool [N].
 
     Args:
-        rendered: A render.
-        name: The set's name.
-        number: Of its Gaussians here.
         groups: Of calls that ranks make together, those of the frame that decides; None: all.
     """
     infos = [info for info in rendered.infos.get(name, []) if groups is None or info["group"] in groups]

@@ -74,9 +74,7 @@ class Door:
         """Answer a request, or let viser answer it.
 
         Args:
-            connection: The websockets connection.
             request: What is asked; its path loses the token.
-            inside: viser's own answer.
 
         Returns:
             A response; None lets a websocket be opened.
@@ -187,9 +185,7 @@ def open_server(host: str, port: int, door: Door) -> "viser.ViserServer":
     """Start viser behind a door. It serves in a thread of its own.
 
     Args:
-        host: Address to bind to.
         port: Port to begin with; the next free one is taken.
-        door: The guard.
 
     Raises:
         UserError: viser is not installed, or the address cannot be bound.

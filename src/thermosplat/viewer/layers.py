@@ -259,7 +259,6 @@ class LayerRenderer:
         """How sure the values of an image are; None where nobody knows.
 
         Args:
-            layer: The image.
             view: From where it is rendered.
         """
         certainty = self.scene.certainties.get(layer.spectrum) if layer.kind == "image" else None
@@ -303,7 +302,6 @@ def image_layer(
 
     Args:
         image: Shape [H, W, C].
-        scale: What its pixel values mean.
         values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
         temperatures: How temperatures are recalculated; None: they are not.

@@ -209,7 +209,6 @@ def seen_layer(
         image: The layer, of values.
         depth: The depth of its spectrum from the same view.
         temperatures: How it was recalculated.
-        sure: How sure its values are.
 
     Raises:
         UserError: It is a layer of colours.

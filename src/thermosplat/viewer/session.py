@@ -206,7 +206,6 @@ class ViewSession:
         """Measure the layer that a picture at rest shows at the first point, and keep the measurement.
 
         Args:
-            shape: Of what.
             points: Its places, in shares of width and height (``shapes.number_of_points``).
             shown: The picture; None: the newest.
 

@@ -244,7 +244,6 @@ class Visitor:
             view: From where.
             width: Of the picture [px], without its colour bar.
             height: Of the picture [px].
-            with_table: Write the table of measurements beside it.
         """
         session = self.session.aside()
 

@@ -28,10 +28,6 @@ LINE_EVERY = 10.0
 def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
     """Write the splats of the chosen spectra.
 
-    Args:
-        arguments: The command's; its format is one of splats.
-        folder: Where to write.
-
     Raises:
         UserError: The arguments, the capture or the format do not allow it.
     """
@@ -100,7 +96,6 @@ def fitted_scene(
     Args:
         arguments: The command's: spectra, passes of the fit.
         frame: Where positions of files count from.
-        colors: What the splats show.
 
     Raises:
         UserError: There is no capture to fit to, or no such spectrum.
@@ -158,7 +153,6 @@ def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] =
     """Steps to be done one after the other, shown to whoever waits for them.
 
     Args:
-        steps: All of them.
         name: The spectrum whose splats are fitted.
         clock: Seconds.
     """

@@ -33,7 +33,6 @@ def capture_and_trainer(argv: list[str], config: "TrainConfig") -> tuple["TrainC
 
     Args:
         argv: Arguments of the command, without the program's name.
-        config: The configuration that they ask for.
 
     Returns:
         The configuration, with what the images of a run that begins recommend where the command says nothing else; the

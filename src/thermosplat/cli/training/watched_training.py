@@ -16,7 +16,6 @@ def watched(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     """Around a training: serve the viewer meanwhile, if it is asked for.
 
     Args:
-        trainer: The training.
         flags: Where it is shown.
 
     Raises:
@@ -35,7 +34,6 @@ def watched_by_first(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     """Around a training on several ranks: let rank 0 serve the viewer meanwhile, if it is asked for there.
 
     Args:
-        trainer: This rank's.
         flags: Where it is shown; what rank 0 has counts.
 
     Raises:

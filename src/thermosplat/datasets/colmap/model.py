@@ -89,7 +89,6 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
 
     Args:
         files: Image files in the capture that could be in the model.
-        root: The capture's folder.
 
     Raises:
         UserError: Too few registered images, or no points where a sibling model has more images; the hint names the

@@ -60,7 +60,6 @@ def frame_names(names: Sequence[PurePosixPath], where: str, folders: Collection[
     Where some would be called the same, all have their train/test in it, or if that is not enough all of their path.
 
     Args:
-        names: One image's name for each frame.
         where: What holds them, for the message.
         folders: As ``folders_of`` has them.
 

@@ -33,9 +33,6 @@ def read_spectrum(
     """The images of one spectrum of each frame; None if no frame has one.
 
     Args:
-        root: The capture's folder.
-        name: The spectrum's name.
-        spectrum: Its settings.
         listing: What the layout knows of the capture.
         ranging: Exposures whose values decide the range, where `frames` are not all; as of ``interpret``.
 
@@ -108,7 +105,6 @@ def read_shot(shot: Shot, source: Source) -> SpectrumFile:
     """The files of one exposure: the displayable image, the values, or both.
 
     Args:
-        shot: The exposure.
         source: What the spectrum's images are; of a photograph values beside it are not looked at.
 
     Raises:

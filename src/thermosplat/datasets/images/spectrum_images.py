@@ -73,7 +73,6 @@ def interpret(
     """Decide what the images of a spectrum are and turn them into training images.
 
     Args:
-        name: The spectrum's name.
         files: At least one exposure.
         config: The user's choices; they win over everything the capture states.
         palette: Palette of pseudo-coloured images; a scalar is shown with it.

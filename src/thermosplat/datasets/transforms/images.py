@@ -75,10 +75,6 @@ class TransformsImages:
     def find(self, name: PurePosixPath, entry: dict[str, Any]) -> dict[str, ImageFile] | None:
         """The files of a frame by spectrum, or None if there are none.
 
-        Args:
-            name: Its `image_name`.
-            entry: What the transforms file says of it.
-
         Raises:
             UserError: Several images have one stem, and nothing tells which of them belong together.
         """

@@ -95,7 +95,6 @@ def with_splits_from_names(frames: Sequence[FrameFiles], names: Sequence[PurePos
 
     Args:
         frames: Frames without a split.
-        names: Path of each one's image.
     """
     words = [
         {*_called(frame, name).lower().replace("-", "_").split("_"), *_folders(name)}

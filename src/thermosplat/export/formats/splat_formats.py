@@ -49,10 +49,6 @@ _WRITERS: dict[SplatFormat, tuple[str, Callable[[Path, Described], WrittenSplats
 def write_format(format: SplatFormat, folder: Path, scene: Described) -> WrittenSplats:
     """Write ``splat_<spectrum>`` in a format; the file appears at once and whole.
 
-    Args:
-        folder: Where to write; made where there is none.
-        scene: The splats.
-
     Raises:
         UserError: The format cannot hold the scene, or what writes it is not installed.
     """
@@ -65,9 +61,7 @@ def check_degree(format: str, spectrum: str, splats: Splats) -> None:
     """Refuse harmonics that a format has no room for.
 
     Args:
-        format: Its name.
         spectrum: Whose splats these are.
-        splats: The Gaussians.
 
     Raises:
         UserError: They use more.

@@ -59,7 +59,6 @@ def located_frame(geo: GeoFrame, placement: Placement) -> MapFrame:
     """The map frame of a capture that says where its world lies.
 
     Args:
-        geo: What it says.
         placement: Where the scene lies in the world.
     """
     note = f"EPSG:{geo.epsg}; {geo.cameras} cameras lie {geo.residual:.2f} m from where GPS has them, in the median."
@@ -105,7 +104,6 @@ def aligned_frame(centres: NDArray[np.float64], places: NDArray[np.float64], crs
     Args:
         centres: In the world, [V, 3].
         places: East, north, up [m], [V, 3].
-        crs: The map's coordinate system.
 
     Raises:
         UserError: No similarity fits.

@@ -50,7 +50,6 @@ class MapGrid:
         """The grid of an extent.
 
         Args:
-            frame: The map's coordinates.
             extent: West, south, east, north.
             pixel: Ground sampling distance.
             top: Height from which the map is seen.
@@ -152,9 +151,6 @@ def render_map(
     """A spectrum from above.
 
     Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
         temperatures: How temperatures are recalculated; None: they are not. The path through the air is then that from
             the map's top.
 
@@ -192,8 +188,6 @@ def write_map(
     Args:
         path: The file, ``*.tif``.
         picture: [B, H, W].
-        name: The spectrum.
-        scale: What its pixel values mean.
         recalculated: How temperatures were recalculated (``SceneTemperatures.text``); "": they were not.
 
     Raises:

@@ -72,7 +72,6 @@ def page_of(scene: PageScene, layers: Sequence[PageLayer], palette: Palette) -> 
     """The file's text.
 
     Args:
-        scene: What is known of the scene.
         layers: Its spectra, at least one.
         palette: That of its values, to begin with.
     """

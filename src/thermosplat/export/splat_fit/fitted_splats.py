@@ -72,9 +72,6 @@ def fit_splats(
     """Splats of one spectrum that are fitted to the exact render.
 
     Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
         views: Cameras of training, between which the fit takes place; distortions of lenses are left out.
         sh_degree: Highest SH degree in use, of the model and of the splats.
         measured: Cameras to measure in. None given: those of ``views``.

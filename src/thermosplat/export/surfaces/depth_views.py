@@ -50,7 +50,6 @@ def depth_view(
     """Render a view.
 
     Args:
-        model: The trained scene.
         name: The spectrum whose depth and colours are taken.
         view: Its camera; a distortion of the lens is left out.
         scales: What pixel values mean, by spectrum.
@@ -109,8 +108,6 @@ def depth_points(
     """The surface that a spectrum sees, as points: pixels of the views at their depths.
 
     Args:
-        model: The trained scene.
-        name: The spectrum.
         views: Cameras, those of training.
         scales: What pixel values mean, by spectrum.
         most: Points at most; each view gives its share, at random.

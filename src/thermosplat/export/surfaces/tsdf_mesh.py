@@ -54,7 +54,6 @@ def tsdf_mesh(
     """The mesh of a spectrum.
 
     Args:
-        model: The trained scene.
         name: The spectrum whose depth is fused.
         views: Cameras, those of training.
         scales: What pixel values mean, by spectrum.

@@ -74,8 +74,6 @@ def margin(scores: Mapping[str, float | None], duel: Duel, metric: str) -> Margi
     """A method's margin over the best of its rivals.
 
     Args:
-        scores: The metric by method.
-        duel: Who is compared with whom.
         metric: Which metric; says whether more is better.
 
     Returns:

@@ -58,7 +58,6 @@ def calibrate_rig(
 
     Args:
         pairs: Boards that both cameras have seen.
-        board: The board.
         rgb_size: Width and height of the photographs [px].
         thermal_size: Width and height of the thermal images [px].
     """

@@ -34,10 +34,7 @@ def calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) ->
     """Write ``calibration.json`` and ``check/calibration.png``.
 
     Args:
-        capture: The capture.
-        rgb: Folder with photographs of the board.
         thermal: Folder with thermal images of the board, as many, in the same order of names.
-        board: The board.
 
     Raises:
         UserError: Folders do not go together, or too few boards are found; with what was found.

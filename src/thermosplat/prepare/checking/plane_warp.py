@@ -58,7 +58,6 @@ def read_warps(sparse: Path, pairs: Sequence[tuple[str, str]]) -> Mapping[tuple[
     """Warps of the pairs that are registered, by the pair.
 
     Args:
-        sparse: Folder of the COLMAP model.
         pairs: Names as the model has them: rgb/0001.jpg, thermal/0001.png.
     """
     model = read_model(sparse)

@@ -30,8 +30,6 @@ def temperature_notes(spectrum: str, views: Sequence[View], scale: PixelScale) -
 
     Args:
         spectrum: Whose images these are.
-        views: Some of its images.
-        scale: What their pixels mean.
     """
     if scale.unit != CELSIUS or scale.range is None:
         return []

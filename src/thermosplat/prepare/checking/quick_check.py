@@ -37,8 +37,6 @@ def quick_findings(
     """What is probably wrong, and a sensor that drifts without the training allowing for it.
 
     Args:
-        capture: The capture, read.
-        spectra: The settings that it will be trained with.
         refined: What of the cameras training corrects.
     """
     drifts = (Finding("warning", note) for note in drift_notes(capture, spectra))
@@ -51,8 +49,6 @@ def wrong_findings(
     """A sentence on each thing that is probably wrong with a capture that can be read, and settings that help.
 
     Args:
-        capture: The capture, read.
-        spectra: The settings that it will be trained with.
         refined: What of the cameras training corrects.
     """
     frames = sorted((*capture.train, *capture.test), key=lambda frame: frame.name)
@@ -126,12 +122,7 @@ def _views(frames: Sequence[Frame], spectrum: str) -> list[View]:
 
 
 def drift_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """Notes on sensors that drift without the training allowing for it.
-
-    Args:
-        capture: The capture, read.
-        spectra: The settings that it will be trained with.
-    """
+    """Notes on sensors that drift without the training allowing for it."""
     notes = []
     for name, scale in capture.scales.items():
         if scale.kind != "scalar":

@@ -60,9 +60,6 @@ class Groups:
 def group_files(files: Sequence[SourceFile]) -> Groups:
     """Tell photographs from thermal files.
 
-    Args:
-        files: All images of a folder.
-
     Returns:
         Files of "rgb" and "thermal", each perhaps none.
 
@@ -214,8 +211,6 @@ def one_camera(
     """Images of one camera at one size.
 
     Args:
-        spectrum: Name of the spectrum.
-        files: Its images.
         take_most: Of several cameras or sizes take the most frequent.
         turn_back: Degrees by which images whose sides are swapped are turned clockwise; None: they are refused.
 

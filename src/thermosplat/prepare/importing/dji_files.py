@@ -132,7 +132,6 @@ def is_dji_thermal(content: bytes, make: str | None) -> bool:
     """Whether a JPEG is DJI's with the values of a thermal sensor inside, whole or not.
 
     Args:
-        content: The file.
         make: Its maker by EXIF data, which a program may have dropped.
     """
     states_it = joined(content, _APP4).startswith((_MAGIC, _DIRP))

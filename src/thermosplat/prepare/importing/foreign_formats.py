@@ -23,7 +23,6 @@ def foreign_sentences(paths: Sequence[Path], root: Path) -> list[str]:
     """A sentence for each maker whose thermal files lie in a folder and cannot be read.
 
     Args:
-        paths: All files.
         root: The folder that names in the sentences are relative to.
     """
     found: dict[str, list[Path]] = {}

@@ -36,7 +36,6 @@ def import_files(folder: Path | None, capture: CaptureFolder, options: ImportOpt
     Args:
         folder: Where to look, at any depth; None if the options name the folder of every spectrum.
         capture: The capture to make. Images of an import that was interrupted are kept.
-        options: What the user says about the files.
 
     Returns:
         What was found.

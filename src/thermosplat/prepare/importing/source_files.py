@@ -83,7 +83,6 @@ class SourceFile:
         """The row of frames.csv for an image of a capture that is made of this one.
 
         Args:
-            spectrum: Its spectrum.
             file: Its name in the capture.
             width: [px].
             height: [px].
@@ -120,8 +119,6 @@ def read_folder(
     Args:
         folder: The folder. Folders of pictures of a board, hidden ones and prepared captures are left out.
         every: Of a video every so many frames are taken.
-        skip: Further folders to leave out.
-        progress: Passes the files on and shows how far it is.
 
     Raises:
         UserError: There is no such folder.

@@ -99,8 +99,6 @@ def import_thermal(
     Args:
         files: The files, all of one kind; radiometric, or pictures.
         names: Their names in the capture, without endings.
-        capture: The capture.
-        options: What the user says.
         skip_unreadable: Leave out radiometric files of which no temperatures can be had.
 
     Returns:

@@ -94,7 +94,6 @@ def align(
 
     Args:
         camera: Where to start: edges have to be within the first window.
-        edges: Edges of the photographs.
         slopes: Slopes [H, W, 2] of each frame's thermal image.
         stages: Which of ``rig_camera.UNKNOWNS`` change, with search range and robust scale of each step [px].
     """

@@ -19,8 +19,6 @@ def thermal_images(
     """Read thermal images.
 
     Args:
-        capture: The capture.
-        names: Their files.
         listed_in: The capture's table that names them.
 
     Raises:

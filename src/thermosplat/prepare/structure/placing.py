@@ -64,8 +64,6 @@ def placed(model: pycolmap.Reconstruction, photographs: list[FrameRow], position
     """The model where GPS has its cameras.
 
     Args:
-        model: Model of the photographs.
-        photographs: The photographs.
         positions: Their positions, in the same order.
     """
     known = {f"{LEADING}/{row.file}": number for number, row in enumerate(photographs) if positions.known[number]}

@@ -82,11 +82,7 @@ class CapturedCall:
             self._not_drawn = [k for k in range(owned) if k not in drawn]
 
     def is_at(self, tensors: Sequence[Tensor]) -> bool:
-        """Whether what is read where it lies lies there.
-
-        Args:
-            tensors: Of a call.
-        """
+        """Whether what is read where it lies lies there."""
         return all(tensors[i].data_ptr() == place and tensors[i].is_contiguous() for i, place in self._bound)
 
     def info_is_held(self) -> bool:
@@ -149,7 +145,6 @@ class CapturedCall:
         """Gradients to ``means2d`` if it moves, to the edges and to the backgrounds; and sums of absolute ones.
 
         Args:
-            gradients: To all images.
             lends: Of the gradients to ``means2d`` and to the edges, whether the fixed memory itself may be returned:
                 nobody but ``project_backward`` reads it, before it is written anew.
 

@@ -301,7 +301,6 @@ def images_of(views: Sequence[ImageView], bases: Sequence[Tensor]) -> list[Tenso
     """The images in copies of the tensors that hold them.
 
     Args:
-        views: Of a recorded call.
         bases: Copies, in their order.
     """
     return [bases[of] if strided is None else bases[of].as_strided(*strided) for of, strided in views]

@@ -22,7 +22,6 @@ def make_decoder(config: DecoderConfig, feature_dim: int, spectra: Sequence[Spec
     """The decoder that a configuration asks for.
 
     Args:
-        config: Its structure and widths.
         feature_dim: Channels d of the rendered features.
         spectra: What is decoded, in order.
     """
@@ -35,6 +34,5 @@ def kind_of(spectrum: Spectrum, model: ModelConfig) -> type[Formation]:
 
     Args:
         spectrum: The spectrum, with its settings.
-        model: What Gaussians hold.
     """
     return next(kind for kind in FORMATIONS if kind.is_for(spectrum, model))

@@ -23,7 +23,6 @@ def restored_formations(
     """The formations of a scene as a checkpoint has them.
 
     Args:
-        saved: What it has.
         model: As of ``Formations``.
         decoding: As of ``Formations``.
         spectra: As of ``Formations``.
@@ -49,7 +48,6 @@ def as_trained(spectra: Mapping[str, SpectrumConfig], saved: Saved) -> dict[str,
 
     Args:
         spectra: As they were asked for.
-        saved: Of its formations.
     """
     found, trained = _by_todays_names(saved), dict(spectra)
     for name, one in spectra.items():

@@ -25,7 +25,6 @@ def with_limit(config: TrainConfig, capture: Capture, noisy: Sequence[str]) -> t
 
     Args:
         capture: Its training frames, of the size that is trained with.
-        noisy: The spectra whose images are noisy.
 
     Returns:
         The configuration, and what to tell the user about it.

@@ -61,7 +61,6 @@ def clone(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor) -> Non
     """Append a copy of each selected Gaussian.
 
     Args:
-        gaussians: The Gaussians, N of them.
         selected: Boolean, shape [N].
     """
     append_copies(gaussians, optimizers, torch.where(selected)[0])
@@ -157,7 +156,6 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
     """Replace all Gaussians by copies of another set's; their moments start from zero.
 
     Args:
-        gaussians: The Gaussians to replace.
         source: Gaussians with parameters of the same names.
     """
     copied = dict(source.named_parameters())

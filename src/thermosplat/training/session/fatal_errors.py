@@ -10,10 +10,7 @@ def not_finite_error(step: int, term: str, where: str, suspects: str, saved: obj
     Args:
         step: The step that failed; its update was not made.
         term: The loss, or the tensor whose gradient it is.
-        where: The frame, or the rank.
         suspects: What to look at, after "Check the images and".
-        saved: The checkpoint of the state before that step.
-        resume_command: The command line that goes on from it.
     """
     return UserError(
         f"The loss became NaN or infinite at step {step:,} (term: {term}; {where}). "
@@ -28,7 +25,5 @@ def image_lost_error(lost: ImageLostError, saved: str, resume_command: str) -> U
 
     Args:
         lost: Which image, and what is to be done about it.
-        saved: One sentence about the checkpoint.
-        resume_command: The command line that goes on from it.
     """
     return UserError(f"{lost.message} {saved}", f"{lost.hint} Then go on with: {resume_command}".lstrip())

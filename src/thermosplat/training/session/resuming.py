@@ -50,8 +50,6 @@ def share_to_go_on_from(config: TrainConfig, capture: Capture, run: RunDirectory
     """This rank's share of a run's newest checkpoint, which may be of another number of ranks; rank 0 reads it.
 
     Args:
-        config: What the command asks for.
-        capture: What it would be trained on.
         team: The ranks; one alone has all.
 
     Raises:
@@ -120,7 +118,6 @@ def check_steps_left(checkpoint: Checkpoint, config: TrainConfig, run: RunDirect
     """Refuse to go on to fewer steps than are done.
 
     Args:
-        checkpoint: The state.
         config: What the run does on its capture.
         run: The run, for the message.
 

@@ -107,7 +107,6 @@ class RunLogger:
 
         Args:
             run: Where the files go.
-            config: What is done.
             speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
         """
         if speaks:

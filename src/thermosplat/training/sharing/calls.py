@@ -42,7 +42,6 @@ def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Cal
 
     Args:
         frames: The groups of the frames of the first ranks; the others have none.
-        like: Any float tensor on the device.
     """
     groups = dict.fromkeys(group for frame in frames for group in frame)
     of_ranks = [set(frame) for frame in frames] + [set() for _ in range(team.size - len(frames))]
@@ -57,7 +56,6 @@ def render_with_others(
     Args:
         render: ``SceneModel.render`` with its options.
         views: The frame's; none where the rank has no frame.
-        calls: What all ranks render.
 
     Returns:
         The frame. ``infos`` holds every call by set, in the order of ``calls.groups``; under "group" the group.
@@ -97,7 +95,6 @@ def infos_of_frame(
         infos: Of the calls, by set.
         camera: Which camera of each call is the frame's.
         groups: The frame's groups; None: all calls are its own.
-        frames: Frames of the step.
     """
     found: dict[str, list[Any]] = {}
     for name, calls in infos.items():

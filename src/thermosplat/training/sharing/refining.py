@@ -33,9 +33,6 @@ def refine(
     """Add and remove Gaussians of a set that may be divided, or reset opacities, as ``Strategy.refine``.
 
     Args:
-        state: This rank's.
-        name: The set.
-        config: The strategy's.
         generator: Draws what is random, on the CPU.
 
     Raises:

@@ -102,11 +102,7 @@ class AutoBudget:
         return step in self._prune_steps
 
     def after_step(self, step: int, sh_degree: int) -> None:
-        """Validate, stop growth or prune, where this step is the one to do so.
-
-        Args:
-            step: The step done.
-        """
+        """Validate, stop growth or prune, where this step is the one to do so."""
         if self._validates_at(step):
             self.validate(step, sh_degree)
         is_last = step == self._last_removal
