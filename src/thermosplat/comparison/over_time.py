@@ -20,7 +20,6 @@ class Row:
     """One place or measurement."""
 
     what: str
-    """Its name."""
     values: tuple[float | None, ...]
     """Its mean at each date; None where it has none."""
 

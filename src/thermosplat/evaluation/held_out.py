@@ -43,15 +43,12 @@ class RenderedView:
     """One spectrum of one frame: its render, clamped to [0, 1], and what it should have been."""
 
     spectrum: str
-    """The spectrum's name."""
     camera: ViewTensors
-    """From where it was rendered."""
     image: Tensor
     """[H, W, C]."""
     target: Tensor
     """[H, W, C]."""
     scale: PixelScale
-    """What pixel values mean."""
     values: Tensor | None
     """[H, W]; where there are measured values."""
     formation: Formation | None = None

@@ -48,9 +48,7 @@ class WrittenSplats:
     """What became of the Gaussians."""
 
     path: Path
-    """The file."""
     num_gaussians: int
-    """Gaussians in the file."""
     num_dropped: int
     """Gaussians left out: a value that is not finite, or an opacity below 1/255."""
 

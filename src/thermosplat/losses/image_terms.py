@@ -53,7 +53,6 @@ class ComparedFrame:
     losses: dict[str, Tensor]
     """All weighted terms, scalars; the total is their sum."""
     spectra: dict[str, str]
-    """The spectrum of each term."""
     squared_errors: dict[str, Tensor]
     """Mean squared error of the images clamped to [0, 1], by spectrum; no gradient reaches it."""
 

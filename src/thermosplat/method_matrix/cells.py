@@ -26,9 +26,7 @@ class Scene:
     """A capture of the matrix."""
 
     name: str
-    """What tables call it."""
     data: str
-    """Its folder, or "sample"."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,9 @@ class Cell:
     """One method on one scene with one seed."""
 
     scene: str
-    """The scene's name."""
     method: str
     """The method's name: its preset, or its YAML file's stem."""
     seed: int
-    """Seed of the training."""
 
     def folder(self, out: Path) -> Path:
         """The cell's run folder in a matrix's folder."""

@@ -35,7 +35,6 @@ class Override:
     """A setting that some cells, or all, shall have."""
 
     word: str
-    """As it was given."""
     cells: str
     """Method, scene or scene/method; empty: every cell."""
     values: dict[str, Any]

@@ -33,11 +33,8 @@ class Panels:
     """Pictures of one spectrum of one frame, 8-bit RGB [H, W, 3]."""
 
     truth: Image8
-    """Ground truth."""
     render: Image8
-    """Render."""
     error: Image8
-    """Error map."""
     score: str
     """The render's number, e.g. "24.31 dB"."""
     palette_end: str
@@ -45,7 +42,6 @@ class Panels:
     true_depth: Image8 | None = None
     """Depth of the surface that the spectrum sees; None without ground truth."""
     depth: Image8 | None = None
-    """Rendered depth."""
     depth_range: str = ""
     """What the ends of the depths' palette stand for, e.g. "0.8 to 4.4"."""
 

@@ -26,9 +26,7 @@ class Job:
     """One process to run."""
 
     title: str
-    """What to call it."""
     command: Sequence[str]
-    """Program and arguments."""
     log: Path
     """Where its output goes, at the end of what is there."""
 

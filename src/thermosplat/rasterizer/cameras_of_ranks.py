@@ -56,7 +56,6 @@ class CamerasOfRanks:
     """The cameras of all ranks, rank 0's first."""
 
     counts: list[int]
-    """Cameras of each rank."""
     kinds: list[CameraKind]
     """Of each camera, [C_world]."""
     most_gaussians: int

@@ -24,7 +24,6 @@ class Departure(NamedTuple):
     """Rows that leave for a camera."""
 
     rank: int
-    """The camera's."""
     numbers: Tensor
     """int32 [n], which of this rank's C_world · N rows. -1: none, a row of zeros goes in its place."""
     places: Tensor
@@ -45,7 +44,6 @@ class Route:
     """Which rows go where."""
 
     rank: int
-    """This one."""
     numbers: Tensor
     """int32 [n], the rows that this rank sends, camera by camera. See ``Departure``."""
     places: Tensor

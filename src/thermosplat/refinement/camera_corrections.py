@@ -55,7 +55,6 @@ class SharedCamera:
     """A camera that took many frames."""
 
     spectrum: str
-    """Its spectrum."""
     camera: Camera
     """Its intrinsics, as the capture has them."""
 

@@ -44,7 +44,6 @@ class Rendering(NamedTuple):
     backgrounds: Tensor | None
     """Colour behind the SH colours of photographs, [1, 3]."""
     deterministic: bool = False
-    """As the rasterizer's."""
     geometry_held: bool = False
     """No gradient of this rasterization reaches means, quats, scales and opacities. ``render_view`` alone can do so."""
     depth_spread_limit: float | None = None

@@ -58,7 +58,6 @@ class Differentiated:
     """What comparing rendered frames gave, after the backward passes."""
 
     rendered: RenderedFrame
-    """The last frame."""
     losses: dict[str, Tensor]
     squared_errors: dict[str, Tensor]
     observed: Sequence[dict[str, list[Any]]] = ()

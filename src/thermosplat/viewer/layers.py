@@ -54,7 +54,6 @@ class Layer:
     kind: str
     """What it is: one of those that every scene has, or of the spectrum's ``Formation.layers``."""
     spectrum: str
-    """In which spectrum."""
 
     @property
     def label(self) -> str:
@@ -67,7 +66,6 @@ class LayerImage:
     """A layer as it was rendered from one view."""
 
     layer: Layer
-    """Which one."""
     field: NDArray[np.float32] | None
     """Values, shape [H, W], NaN where there is none; None of a layer of colours."""
     colors: Image8 | None

@@ -26,9 +26,7 @@ class Mark:
     """A measurement as it lies in a picture."""
 
     text: str
-    """Its label."""
     shape: Shape
-    """Of what it is."""
     outline: tuple[Pixel, ...]
     """Its corners."""
     minimum: Pixel | None = None

@@ -38,9 +38,7 @@ class SearchedView:
     """A view of the capture in which regions are looked for."""
 
     frame: Frame
-    """Whose view it is."""
     view: ViewTensors
-    """As it was rendered."""
     values: NDArray[np.float64]
     """[H, W], in the unit of the spectrum."""
     depth: NDArray[np.float64]

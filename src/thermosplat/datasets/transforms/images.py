@@ -16,7 +16,6 @@ class ImageFile(NamedTuple):
     """The file of one spectrum of a frame."""
 
     path: Path
-    """The image."""
     values: Path | None
     """Values of more bits beside it, or the image itself; None: there are none."""
     mask: Path | None

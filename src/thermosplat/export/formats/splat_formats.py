@@ -23,9 +23,7 @@ class Described:
     """Splats with what their file shall say about them."""
 
     splats: Splats
-    """The Gaussians."""
     spectrum: str
-    """Name of the spectrum that they show."""
     comments: Sequence[str] = ()
     """For the header, where the format has room for text."""
 

@@ -29,7 +29,6 @@ class MapGrid:
     """The pixels of a map."""
 
     frame: MapFrame
-    """Its coordinates."""
     west: float
     """Left edge."""
     north: float
@@ -37,9 +36,7 @@ class MapGrid:
     pixel: float
     """Side of a pixel, the ground sampling distance [map units]."""
     width: int
-    """Columns."""
     height: int
-    """Rows."""
     top: float
     """Height [map units] from which the map is seen; what lies above is left out."""
 

@@ -31,9 +31,7 @@ class PageLayer:
     """A spectrum."""
 
     key: str
-    """Its name in the run."""
     name: str
-    """Its name for people."""
     splats: Splats
     """In the page's frame; of a spectrum of values their colours are its intensity."""
     is_value: bool

@@ -27,7 +27,6 @@ class DepthView:
     """One view. All spectra are rendered by its camera, whichever camera took them."""
 
     view: ViewTensors
-    """The camera, a pinhole."""
     depth: Tensor
     """z-depth in the scene's frame, [H, W]; 0 where there is none."""
     colors: Tensor

@@ -15,11 +15,9 @@ class Table:
     """Text in rows and columns; the first columns say what a row is, the others hold numbers."""
 
     name: str
-    """Stem of its files."""
     title: str
     """One sentence: what it shows."""
     columns: tuple[str, ...]
-    """Headings."""
     rows: tuple[tuple[str, ...], ...]
     """As many entries as columns each."""
     labels: int = 1

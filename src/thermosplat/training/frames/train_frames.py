@@ -162,9 +162,7 @@ class Span(NamedTuple):
     """The steps in which something is trained."""
 
     start: int
-    """Steps before it."""
     end: int
-    """Its last step."""
 
     def __contains__(self, step: object) -> bool:
         return isinstance(step, int) and self.start < step <= self.end

@@ -49,7 +49,6 @@ class StepRecord:
     squared_errors: dict[str, Tensor]
     """Mean squared error of the step's own images by spectrum, scalars on the device."""
     num_gaussians: int
-    """Gaussians in all sets."""
     sh_degree: int
     """Degree of the spherical harmonics in use."""
     train_seconds: float

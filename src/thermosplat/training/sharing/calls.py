@@ -32,9 +32,7 @@ class Calls(NamedTuple):
     of_ranks: list[set[Group]]
     """The groups of each rank's frame; none of a rank without a frame."""
     rank: int
-    """This one."""
     like: Tensor
-    """Any float tensor on the ranks' device."""
 
 
 def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Calls:
