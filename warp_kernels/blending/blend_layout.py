@@ -126,9 +126,6 @@ def default_layout(
         tile_size: edge of a tile [px].
         thermal_channels: channels blended with the second, or 0.
         num_pairs: (Gaussian, tile) pairs of the frame.
-
-    Returns:
-        The layout.
     """
     if not device.is_cuda:
         return _layout(tile_size, tile_size, tile_size, 1)

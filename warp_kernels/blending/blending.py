@@ -47,9 +47,6 @@ def blend_kernel(variant: BlendVariant) -> wp.Kernel:
 
     Args:
         variant: channels, opacities, precision and deal of pixels.
-
-    Returns:
-        The Warp kernel.
     """
     dtype, layout, kinds, dual = variant.dtype, variant.layout, variant.types, variant.dual
     C, D, first_thermal = variant.channels, max(variant.thermal_channels, 1), variant.first_thermal

@@ -96,9 +96,6 @@ def join_segments_kernel(variant: BlendVariant) -> wp.Kernel:
 
     Args:
         variant: channels, opacities, precision and deal of pixels.
-
-    Returns:
-        The Warp kernel.
     """
     dtype, layout, kinds = variant.dtype, variant.layout, variant.types
     vec_chunk = wp.types.vector(CHUNK, dtype)

@@ -21,9 +21,6 @@ def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
 
     Args:
         variant: channels, opacities, precision and deal of pixels.
-
-    Returns:
-        The Warp kernel.
     """
     dtype, layout, kinds, dual = variant.dtype, variant.layout, variant.types, variant.dual
     lanes, rows, columns, threads, pixels = layout.lanes, layout.rows, layout.columns, layout.threads, variant.pixels

@@ -184,9 +184,6 @@ def walk_functions(
         staged: records hold them.
         dual: there are two opacities.
         backwards: from the back of the list to its front.
-
-    Returns:
-        The functions.
     """
     cuda, step, batch, rows = layout.lanes > 1, -1 if backwards else 1, BATCH, layout.rows
     opened, refilled = queue_functions(layout, backwards)

@@ -103,11 +103,9 @@ def image_loss_totals(
     losses: wp.array,
     squared_errors: wp.array,
 ) -> None:
-    """The weighted mean losses of all pairs.
+    """The weighted mean losses of all pairs. The other arguments are those of ``image_losses``.
 
     Args:
-        renders: as in ``image_losses``.
-        settings: as in ``image_losses``.
         sums: [3 C], sums over tiles of what ``image_losses`` wrote.
         losses: [TERMS + 1], output: each pair's, and in the last place that of |∂x| + |∂y|.
         squared_errors: [TERMS], output: mean squared errors of the images clamped to [0, 1], without weights.
@@ -125,12 +123,9 @@ def image_losses_adjoint(
     v_losses: wp.array,
     v_renders: Sequence[wp.array],
 ) -> None:
-    """The gradients by the renders.
+    """The gradients by the renders. The other arguments are those of ``image_losses``.
 
     Args:
-        renders: as in ``image_losses``.
-        targets: as in ``image_losses``.
-        settings: as in ``image_losses``.
         derivatives: what ``image_losses`` wrote.
         v_losses: [TERMS + 1] gradients of the losses.
         v_renders: [H, W, Ct] each, any strides, output, written and not added to.

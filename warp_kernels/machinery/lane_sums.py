@@ -11,11 +11,7 @@ from warp_kernels.machinery.loading import made_once
 
 @made_once
 def total_function(dtype: type):
-    """A sum over all lanes of a warp, which all call it together; always in the same order.
-
-    Returns:
-        A Warp function of one number.
-    """
+    """A sum over all lanes of a warp, which all call it together; always in the same order."""
     halvings = "for (int distance = 16; distance > 0; distance /= 2) x += __shfl_xor_sync(0xffffffffu, x, distance);"
 
     @wp.func_native(on_cuda(halvings) + "return x;")
@@ -87,9 +83,6 @@ def butterfly_widths(count: int) -> tuple[int, ...]:
 
     Args:
         count: 0 to 32.
-
-    Returns:
-        The widths.
     """
     if count <= 0:
         return ()

@@ -22,9 +22,6 @@ def strand_sum_kernel(dtype: type, length: int) -> wp.Kernel:
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the records.
-
-    Returns:
-        The Warp kernel.
     """
     record = wp.types.vector(length, dtype)
     record64 = wp.types.vector(length, wp.float64)

@@ -179,9 +179,6 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
 
     Args:
         rolling: Lines are read out at different times.
-
-    Returns:
-        The Warp kernel.
     """
     vec2, vec3, vec4, vec6 = (wp.types.vector(k, dtype) for k in (2, 3, 4, 6))
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)

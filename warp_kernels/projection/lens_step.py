@@ -107,11 +107,10 @@ def project_through_lenses_adjoint(
     add_to_means: bool = False,
 ) -> None:
     """The adjoint of ``project_through_lenses``; arguments as ``plain_camera_step.project_gaussians_adjoint``'s.
+    The other arguments are those of ``project_through_lenses``.
 
     Args:
-        gaussians: as in ``project_through_lenses``.
         lenses: as it left them, with ``slopes``.
-        lens: as in ``project_through_lenses``.
         store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
         add_to_means: also with ``store``, the means' gradient is added to.
     """

@@ -151,15 +151,12 @@ def activate_adjoint(
     v_seconds: wp.array,
 ) -> None:
     """The gradients, from what ``activate`` wrote. They are written, not added to.
+    The other arguments are those of ``activate``.
 
     Args:
-        scales: as in ``activate``.
-        opacities: as in ``activate``.
-        thermal_opacities: as in ``activate``.
         v_scales: vec3 [N]; [0]: zeros.
         v_opacities: [N]; [0]: zeros.
         v_thermal_opacities: [N]; [0]: zeros.
-        is_offset: as in ``activate``.
         v_log_scales: vec3 [N], output.
         v_logits: [N], output.
         v_seconds: [N], output; [0] where there are no seconds.

@@ -69,11 +69,9 @@ def cover(decoded: wp.array, alphas: wp.array, base: wp.array, covered: wp.array
 def cover_adjoint(
     decoded: wp.array, alphas: wp.array, v_covered: wp.array, v_decoded: wp.array, v_alphas: wp.array
 ) -> None:
-    """The gradients; that of the base is ``v_covered`` itself.
+    """The gradients; that of the base is ``v_covered`` itself. The other arguments are those of ``cover``.
 
     Args:
-        decoded: as in ``cover``.
-        alphas: as in ``cover``.
         v_covered: [pixels, C].
         v_decoded: [pixels, C], output.
         v_alphas: [pixels], output.

@@ -12,9 +12,6 @@ def density_kernel(dtype: type) -> wp.Kernel:
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
-
-    Returns:
-        The Warp kernel.
     """
     vec2 = wp.types.vector(2, dtype)
 

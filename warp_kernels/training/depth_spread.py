@@ -153,11 +153,9 @@ def join_moments(features: wp.array, means: wp.array, viewmat: wp.array, joined:
 def join_moments_adjoint(
     means: wp.array, viewmat: wp.array, v_joined: wp.array, v_features: wp.array, v_means: wp.array
 ) -> None:
-    """The gradients. They are written, not added to.
+    """The gradients. They are written, not added to. The other arguments are those of ``join_moments``.
 
     Args:
-        means: as in ``join_moments``.
-        viewmat: as in ``join_moments``.
         v_joined: [N, d + 2].
         v_features: [N, d], output.
         v_means: vec3 [N], output.
@@ -191,12 +189,9 @@ def take_spreads_adjoint(
     v_joined: wp.array,
     v_alphas: wp.array,
 ) -> None:
-    """The gradients. They are written, not added to.
+    """The gradients. They are written, not added to. The other arguments are those of ``take_spreads``.
 
     Args:
-        joined: as in ``take_spreads``.
-        alphas: as in ``take_spreads``.
-        limit: as in ``take_spreads``.
         v_features: [pixels, d].
         v_spread: [1], of the mean.
         v_joined: [pixels, d + 2], output.

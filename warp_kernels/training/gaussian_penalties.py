@@ -129,15 +129,9 @@ def gaussian_means_adjoint(
     v_logits: wp.array,
     v_seconds: wp.array,
 ) -> None:
-    """The gradients. They are written, not added to.
+    """The gradients. They are written, not added to. The other arguments are those of ``gaussian_means``.
 
     Args:
-        log_scales: as in ``gaussian_means``.
-        logits: as in ``gaussian_means``.
-        seconds: as in ``gaussian_means``.
-        seen: as in ``gaussian_means``.
-        share: as in ``gaussian_means``.
-        is_offset: as in ``gaussian_means``.
         v_means: [2].
         v_log_scales: vec3 [N], output.
         v_logits: [N], output.

@@ -109,14 +109,10 @@ def spread_adjoint(
     v_image: wp.array,
     v_sigmas: wp.array,
 ) -> None:
-    """The gradients.
+    """The gradients. The other arguments are those of ``spread``.
 
     Args:
-        image: as in ``spread``.
         blurred: what ``spread`` made of it.
-        table: as in ``spread``.
-        stride: as in ``spread``.
-        length: as in ``spread``.
         v_blurred: [H * W * C].
         v_image: [H * W * C], output.
         v_sigmas: [H * W * C], output: the sum of all is the deviation's gradient.

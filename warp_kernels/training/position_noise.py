@@ -12,11 +12,7 @@ from warp_kernels.training.activations import opacity_functions
 
 @made_once
 def noise_kernel(dtype: type) -> wp.Kernel:
-    """One thread a Gaussian, launched over ``whole_warps``.
-
-    Returns:
-        The Warp kernel.
-    """
+    """One thread a Gaussian, launched over ``whole_warps``."""
     vec3, vec4 = wp.types.vector(3, dtype), wp.types.vector(4, dtype)
     _, store3, _ = store_functions(dtype)
     sigmoid, _, thermal_opacity = opacity_functions(dtype)

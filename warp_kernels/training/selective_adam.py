@@ -8,11 +8,7 @@ from warp_kernels.machinery.loading import made_once
 
 @made_once
 def selective_adam_kernel(dtype: type) -> wp.Kernel:
-    """The kernel, one thread a number.
-
-    Returns:
-        The Warp kernel.
-    """
+    """The kernel, one thread a number."""
 
     @wp.kernel(name=f"selective_adam_{dtype.__name__}", enable_backward=False, module="unique")
     def update_visible_rows(

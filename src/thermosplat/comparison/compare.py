@@ -42,9 +42,6 @@ def compare(
         extent: West, south, east, north; None: what the first capture saw.
         sentences: What was said of the frame, for the page.
 
-    Returns:
-        What to tell people.
-
     Raises:
         UserError: The extent is impossible, rasterio is missing, or a file cannot be written.
     """

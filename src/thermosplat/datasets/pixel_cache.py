@@ -64,11 +64,9 @@ class PixelCache:
             return None
 
     def load_into(self, key: str, part: str, array: NDArray[Any]) -> bool:
-        """Read an array that was kept into one of the same shape and type.
+        """Read an array that was kept into one of the same shape and type. The other arguments are those of ``keep``.
 
         Args:
-            key: As of ``keep``.
-            part: As of ``keep``.
             array: Where the numbers go, in one piece.
 
         Returns:

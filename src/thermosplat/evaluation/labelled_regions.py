@@ -118,9 +118,6 @@ def write_regions(
     Args:
         path: Another file in place of regions.json.
         temperatures: As of ``region_errors``.
-
-    Returns:
-        The errors.
     """
     regions = region_errors(model, capture, sh_degree=sh_degree, device=device, temperatures=temperatures)
     if regions is not None:

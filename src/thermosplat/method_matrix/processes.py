@@ -98,9 +98,6 @@ def run_jobs(
         done: Called with a finished job, its device and its exit code.
         time_limit: Seconds from now after which no job starts; those that run then run to their end.
 
-    Returns:
-        The jobs that were not started.
-
     Raises:
         KeyboardInterrupt: After Ctrl-C, SIGTERM or SIGHUP, when all processes have ended.
     """

@@ -57,9 +57,6 @@ def run_step(
         outputs: Files that must be there for the step to be complete.
         restart: Removes what an earlier attempt with other settings or inputs left, so that ``work`` goes on with
             files of its own only. None: ``work`` replaces all of them anyhow.
-
-    Returns:
-        What it found.
     """
     marker, outputs = capture.marker(step), list(outputs)
     wanted = {"settings": json.loads(json.dumps(settings)), "inputs": fingerprint(inputs)}

@@ -34,9 +34,6 @@ def grouped(
         sh_degree: Active degree; None: values are blended as they are, in one group.
         means: [..., N, 3], whose type and scenes coefficients get.
         clamped: As in ``BlendedValues``.
-
-    Returns:
-        The groups in order, by name.
     """
     if sh_degree is None:
         return {name: BlendedValues(values, None, clamped)}

@@ -223,9 +223,6 @@ def num_nonfinite(
             camera and then Gaussian by Gaussian.
         cameras: view matrices and intrinsics, scene by scene.
         num_gaussians: N, Gaussians of a scene.
-
-    Returns:
-        The number.
     """
     if scenes * num_gaussians == 0:
         return 0
@@ -257,9 +254,6 @@ def clear_unseen(tensor: Tensor, visible: Tensor) -> Tensor:
     Args:
         tensor: [...] or [..., 2], changed in place.
         visible: bool [...].
-
-    Returns:
-        The tensor.
     """
     unseen = ~(visible if tensor.dim() == visible.dim() else visible[..., None])
     tensor.data.masked_fill_(unseen, 0.0)

@@ -236,9 +236,6 @@ def tile_lists(
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
         note: told how many pairs there are (``PairCapacity.note``) before they are listed.
 
-    Returns:
-        The lists.
-
     Raises:
         UserError: if a CUDA graph is captured without a ``room``, or there are too many pairs to number.
     """

@@ -45,9 +45,6 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
     Args:
         state: Its content (``Checkpoint.state``).
 
-    Returns:
-        The file.
-
     Raises:
         NotWrittenError: If the file cannot be written.
     """
@@ -95,9 +92,6 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoin
 
     Args:
         device: Where its tensors go.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         UserError: If there is no such file, it is damaged, not a checkpoint that this version reads, or holds another

@@ -29,9 +29,6 @@ def blend_harmonics(
         sets: Gaussians by name, "shared" or a spectrum's.
         spectra: The spectra, in the model's order.
         leading: The model's first spectrum, whose harmonics the first pass of a shared set has.
-
-    Returns:
-        What was blended, by spectrum.
     """
     blended: dict[str, Blended] = {}
     rest = list(spectra)

@@ -257,9 +257,6 @@ def blend_features(
         gaussians: A set that has features.
         photograph: The one of them that takes SH colours; None: none does.
         rendered: Takes the spreads of depths, and what rasterizations say about their calls.
-
-    Returns:
-        What was blended, by spectrum.
     """
     values = _blended_values(gaussians, view, rendering)
     own_opacity = [name for name in names if name in gaussians.second_opacities]

@@ -136,9 +136,6 @@ class LayerRenderer:
             view: Camera and pose, on the model's device.
             values: Also the values behind pseudo-colours, which takes a while; without, such a layer has its colours.
             temperatures: How temperatures are recalculated; None: they are not.
-
-        Returns:
-            The layers.
         """
         shown = _Temperatures(temperatures or SceneTemperatures(self.scene.model, self.scene.scales), view)
         scene, wanted = self.scene, list(dict.fromkeys(layers))

@@ -37,9 +37,6 @@ def import_files(folder: Path | None, capture: CaptureFolder, options: ImportOpt
         folder: Where to look, at any depth; None if the options name the folder of every spectrum.
         capture: The capture to make. Images of an import that was interrupted are kept.
 
-    Returns:
-        What was found.
-
     Raises:
         UserError: The files are not what a capture can be made of.
     """

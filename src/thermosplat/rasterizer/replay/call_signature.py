@@ -101,9 +101,6 @@ def with_tensors(
 
     Args:
         tensors: What takes the tensors' places, in their order.
-
-    Returns:
-        Arguments and options.
     """
     left = iter(tensors)
 

@@ -172,9 +172,6 @@ class CapturedCall:
 
         Args:
             gradients: To ``means2d`` if it moves, and to the edges; those that were lent are in their place.
-
-        Returns:
-            In memory of their own.
         """
         _put(self._to_mids, gradients)
         self._project()

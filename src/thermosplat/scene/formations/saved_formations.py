@@ -20,12 +20,7 @@ _WIDTHS = "point_spreads.log_widths."
 def restored_formations(
     saved: Saved, model: ModelConfig, decoding: DecoderConfig, spectra: Sequence[Spectrum]
 ) -> Formations:
-    """The formations of a scene as a checkpoint has them.
-
-    Args:
-        model: As of ``Formations``.
-        decoding: As of ``Formations``.
-        spectra: As of ``Formations``.
+    """The formations of a scene as a checkpoint has them. The arguments are those of ``Formations``.
 
     Raises:
         ValueError: A parameter is missing, or of another shape; said before memory is taken for what is asked for.

@@ -166,10 +166,7 @@ class FrameLoader:
 
     def is_ready(self, place: int, order: Callable[[int], int]) -> bool:
         """Whether ``at`` would return the frame at once; of a lost one it tells when its step comes.
-
-        Args:
-            place: As of ``at``.
-            order: As of ``at``.
+        The arguments are those of ``at``.
         """
         if self.reading is None:
             return False

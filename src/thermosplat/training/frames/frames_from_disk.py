@@ -166,13 +166,7 @@ class FrameCopies:
         self._used[copy.number] = torch.cuda.current_stream(self._device).record_event()
 
     def go_on(self, place: int, order: Callable[[int], int], end: int) -> None:
-        """Copy the frames that were read, from a place on.
-
-        Args:
-            place: As of ``at``.
-            order: As of ``at``.
-            end: As of ``at``.
-        """
+        """Copy the frames that were read, from a place on. The arguments are those of ``at``."""
         for later in range(place + len(self._copies), min(place + COPIED_AHEAD, end)):
             self._release()
             if not self._loader.is_ready(later, order):

@@ -13,9 +13,6 @@ def greeting(training: Training, notes: Sequence[str]) -> list[str]:
 
     Args:
         notes: What is to be said before that.
-
-    Returns:
-        Lines.
     """
     config, capture, state, team = training.config, training.capture, training.state, training.team
     lines = list(notes)
