@@ -90,10 +90,6 @@ class StoredPixels:
     """Where the pixels of one view are, and what they are.
 
     Args:
-        shot: The files.
-        header: Of the file that the image is made of.
-        source: What the spectrum's images are.
-        meaning: How they become an image.
         camera: The view's, as the capture has it.
         lens: The lens whose distortion is taken out; None: it stays.
         cache: Keeps what was made of the files.

@@ -28,7 +28,6 @@ class StepReport:
     """What a step found, in sentences for people.
 
     Args:
-        sentences: A line each.
         before: The step was complete already, and nothing was done.
     """
 

@@ -80,7 +80,6 @@ class CameraCorrections(nn.Module):
         image_width: Width of the images of the first camera [px]: learning rates are shares of it.
 
     Args:
-        refined: What is learnt.
         capture: The capture; its training frames are corrected, and its points seen.
         spectra: Names of the modelled spectra, in order.
     """

@@ -105,7 +105,6 @@ class Decoders(Decoder):
         heads: By spectrum, hidden -> channels, linear; a sigmoid follows.
 
     Args:
-        config: Widths and ablation switches.
         feature_dim: Channels d of the rendered features, >= 1.
         spectra: What is decoded, in order.
     """
@@ -166,7 +165,6 @@ class SpectrumDecoders(Decoder):
         networks: By spectrum.
 
     Args:
-        config: Widths.
         input_dim: Channels of a pixel's input, >= 1.
         spectra: What is decoded, in order.
     """

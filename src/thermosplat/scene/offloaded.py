@@ -108,7 +108,6 @@ class GaussiansInView(Gaussians):
             only the coefficients in use.
 
     Args:
-        gaussians: The set.
         sh_degree: Highest degree of the spherical harmonics in use.
     """
 

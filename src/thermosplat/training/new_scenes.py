@@ -37,8 +37,6 @@ class NewScenes:
     """Makes the scenes of a training; what of them is offloaded is decided with the first one.
 
     Args:
-        config: What is done.
-        capture: What is trained on.
         team: The ranks, of which each gets its share.
     """
 

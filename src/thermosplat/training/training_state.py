@@ -74,7 +74,6 @@ class TrainingState:
     Args:
         model: The scene, on its device.
         capture: What it is trained on; the exposures and cameras of the training frames are part of the state.
-        device: The model's device.
     """
 
     def __init__(self, model: SceneModel, config: TrainConfig, capture: Capture, device: torch.device) -> None:

@@ -74,10 +74,6 @@ class TrainingStep:
 
     Args:
         state: Model, optimizers and density control.
-        guard: Watches losses and gradients.
-        capacity: Counts the renderer's pairs.
-        team: The ranks that train the scene.
-        tolerances: Of a budget.
 
     Attributes:
         decoding: Opened around rendering and backward pass; what makes decoders fast.

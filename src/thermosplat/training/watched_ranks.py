@@ -52,7 +52,6 @@ class Leader:
     """Rank 0, which has the viewers. What they see and ask goes through it (``training_watch.Watched``).
 
     Args:
-        trainer: Its training.
         watch: What viewers ask; its scene gets the copies.
     """
 

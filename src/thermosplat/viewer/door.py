@@ -52,7 +52,6 @@ class Door:
     """Looks at every request, and at every message.
 
     Args:
-        host: Address that the server is bound to.
         answers: Answers of the page's own requests, by the last part of their path: /view/<name>. One that cannot be
             given raises a ``ValueError``.
     """

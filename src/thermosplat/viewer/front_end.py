@@ -95,7 +95,6 @@ class Viewer:
     """A scene on a page of its own.
 
     Args:
-        scene: What is seen.
         folder: Where measurements, pictures and bookmarks go.
         host: Address to serve at. Other than this machine's own, the page's address has a token.
         port: Port to begin with; the next free one is taken.

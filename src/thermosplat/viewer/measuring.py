@@ -71,7 +71,6 @@ class Measurer:
     """Measures a scene.
 
     Args:
-        renderer: Renders its layers.
         temperatures: How temperatures are recalculated for the whole scene; None: as the scene says.
     """
 

@@ -35,9 +35,7 @@ class ViewSession:
     """What one viewer looks at.
 
     Args:
-        renderer: Renders layers of the scene.
         turns: When it may.
-        wish: What is seen at first.
     """
 
     renderer: LayerRenderer

@@ -60,7 +60,6 @@ class Visitor:
     """A tab and what it sees.
 
     Args:
-        session: What it looks at.
         shared: What it shares with the others.
     """
 

@@ -32,7 +32,6 @@ class RegisteredImage:
 
     Args:
         name: Path of the image relative to the folder COLMAP was run on.
-        lens: Its calibrated camera.
         viewmat: [4, 4] float64, world to camera.
         frame_id: COLMAP's rig frame: images of one exposure of a camera rig share it.
     """

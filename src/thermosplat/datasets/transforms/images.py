@@ -44,9 +44,7 @@ class TransformsImages:
 
     Args:
         root: The capture's folder.
-        path: Its transforms file.
         names: Its frames, by `image_name`.
-        spectra: The spectra to look for.
     """
 
     def __init__(

@@ -18,14 +18,7 @@ _EXACT_PSNR = 100.0
 
 
 class ExactImages:
-    """Images of a model and of splats that are comparable: the same camera, colours and background.
-
-    Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
-        colors: What the splats show.
-    """
+    """Images of a model and of splats that are comparable: the same camera, colours and background."""
 
     def __init__(self, model: SceneModel, name: str, scale: PixelScale, sh_degree: int, colors: Colors) -> None:
         self.model, self.name, self.scale, self.sh_degree, self.colors = model, name, scale, sh_degree, colors

@@ -20,8 +20,6 @@ class PlaneWarp:
     """A registered pair.
 
     Args:
-        photograph: Lens of the photograph.
-        thermal: Lens of the thermal image.
         thermal_from_photograph: [4, 4] from one camera's coordinates to the other's.
         depth: Of the plane before the photograph's camera [world units].
     """

@@ -54,11 +54,8 @@ class DjiFile:
     """What an R-JPEG holds.
 
     Args:
-        path: The file.
-        exif: Its EXIF data.
         layout: The part of DJI's SDK that reads it: "iirp", "hirp", "girp", "dirp", or "" for one that is not known.
         stored: [H, W] uint16, as the sensor's values are stored.
-        parameters: What the file states of object and air.
         state: The camera's state, as bytes.
         content: The whole file.
     """

@@ -37,7 +37,6 @@ class SourceFile:
     """One image that a camera wrote.
 
     Args:
-        path: Its file.
         name: The file's path relative to the folder that is imported.
         kind: "color" and "grey" have 8 bits, "values" more; "flir" and "dji" are JPEGs with radiometric data inside.
         width: [px] of the stored pixels.

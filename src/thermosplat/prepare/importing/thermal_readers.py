@@ -144,7 +144,6 @@ class DjiReader:
     """DJI's radiometric JPEGs.
 
     Args:
-        models: The cameras' names.
         conversion: What programs made of all files; None if the files hold temperatures.
     """
 

@@ -62,7 +62,6 @@ class Alignment:
     """A camera that was aligned.
 
     Args:
-        camera: The camera.
         deviations: [11] standard deviations of ``rig_camera.UNKNOWNS`` from the residuals' scatter.
         frames: How edges meet in each frame that has edge points inside; none where too few are found to align by.
     """

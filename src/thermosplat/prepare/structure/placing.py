@@ -50,7 +50,6 @@ class Placed:
     Args:
         model: The model; in its own units where ``geo`` is None.
         geo: Where it lies; None where GPS does not say.
-        sentences: For people.
         priors: The positions that were not left out, for the model's last adjustment.
     """
 

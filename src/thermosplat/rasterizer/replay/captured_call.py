@@ -37,7 +37,6 @@ class CapturedCall:
         bound: Which of them are read where they lie.
         most: Pairs, and Gaussians with pairs, that were seen at most.
         spare: Room over them, as a factor.
-        recorder: Records.
 
     Attributes:
         turns: Held by whoever uses the memory of gradients.

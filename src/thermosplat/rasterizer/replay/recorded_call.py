@@ -98,9 +98,6 @@ class RecordedCall:
     """The passes of a call, each to be run once while it is recorded.
 
     Args:
-        subject: The call.
-        fixed: Its tensors in fixed memory.
-        room: For its pairs.
         memory: For gradients; filled by the first run.
         launcher: Makes the launches on images, or leaves them to the replays.
     """

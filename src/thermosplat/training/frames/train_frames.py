@@ -195,7 +195,6 @@ class FrameOrder:
 
     Args:
         num_frames: Training frames, at least 1.
-        seed: The run's seed.
     """
 
     def __init__(self, num_frames: int, seed: int) -> None:

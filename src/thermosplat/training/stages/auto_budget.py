@@ -54,12 +54,10 @@ class AutoBudget:
 
     Args:
         state: Model, optimizers and density control.
-        frames: The training frames.
         schedule: Which of them the steps take.
         noisy: Whether images are noisy.
         tolerances: What it may change.
         teaches: Whether spectra may be trained on what the scene showed when they were best.
-        say: Tells the user something.
     """
 
     def __init__(

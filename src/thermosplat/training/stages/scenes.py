@@ -18,7 +18,6 @@ class Beginnings:
     """How scenes of a training begin.
 
     Args:
-        training: What it works on.
         keeping: Saves the first state of each; checkpoints of the scene before go.
 
     Attributes:
