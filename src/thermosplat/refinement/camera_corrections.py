@@ -196,7 +196,7 @@ class CameraCorrections(nn.Module):
 
     def _corrected(self, spectrum: str, view: ViewTensors, correction: Tensor) -> ViewTensors:
         """A view with rig, focal lengths and distortion corrected by θ, shape [9]."""
-        if self._moves(spectrum):
+        if RIG in self.refined and spectrum != self.spectra[0]:
             view = moved_camera(view, correction[MOTION], self.scene_extent)
         if spectrum in self.zoomed:
             view = with_focal_factor(view, correction[FOCAL])
@@ -205,10 +205,6 @@ class CameraCorrections(nn.Module):
         elif DISTORTION in self.refined:
             view = replace(view, distortion=correction[COEFFICIENTS])
         return view
-
-    def _moves(self, spectrum: str) -> bool:
-        """Whether the rig moves the cameras of a spectrum."""
-        return RIG in self.refined and spectrum != self.spectra[0]
 
     def _pose_bases(self, frames: Sequence[Frame], points: NDArray[np.float32]) -> Tensor:
         """P of every frame's pose, shape [F, 6, 6]."""

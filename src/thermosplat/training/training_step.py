@@ -64,11 +64,6 @@ class Differentiated:
     """What density control looks at of each frame, by set."""
 
 
-def _of_penalties(config: TrainConfig, kind: StepKind) -> LossConfig:
-    """Weights of the penalties on Gaussians. While cameras are found there are none: they would open holes."""
-    return replace(config.loss, opacity_reg=0.0, scale_reg=0.0) if kind.geometry_held else config.loss
-
-
 class TrainingStep:
     """The step of one run.
 
@@ -233,7 +228,9 @@ class TrainingStep:
             losses = balanced_losses(losses, compared.spectra, numbers)
         if part.weight != 1.0:
             losses = {name: part.weight * loss for name, loss in losses.items()}
-        losses |= self._penalties(part, _of_penalties(config, kind), rendered)
+        # While cameras are found there are no penalties on Gaussians: they would open holes.
+        unweighted = {"opacity_reg": 0.0, "scale_reg": 0.0} if kind.geometry_held else {}
+        losses |= self._penalties(part, replace(config.loss, **unweighted), rendered)
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             images = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]

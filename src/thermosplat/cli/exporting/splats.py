@@ -104,7 +104,9 @@ def fitted_scene(
 
     names = arguments.chosen(list(loaded.model.spectra))
     exact = all(loaded.model.formations[name].exact_splats for name in names)
-    if (exact and not _becomes_values(loaded, names, colors)) or arguments.fit_passes == 0:
+    # pseudo-colours become the values that they stand for by a fit alone
+    becomes_values = colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)
+    if (exact and not becomes_values) or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.export.scene import header_comments
@@ -142,11 +144,6 @@ def fitted_scene(
         comments = header_comments(loaded.model, name, loaded.scales[name], frame, colors=colors)
         scene[name] = (frame.splats(fit.splats), comments)
     return scene, sources
-
-
-def _becomes_values(loaded: "LoadedRun", names: list[str], colors: "Colors") -> bool:
-    """Whether pseudo-colours have to become the values that they stand for, which a fit alone does."""
-    return colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)
 
 
 def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] = time.monotonic) -> Iterable[int]:

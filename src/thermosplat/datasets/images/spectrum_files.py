@@ -43,7 +43,9 @@ def read_spectrum(
         return None
     if spectrum.source in STACKS:
         return read_stacks([frame.shots.get(name) for frame in frames], spectrum)
-    files = _read_files([frame.shots.get(name) for frame in frames], spectrum.source)
+    shots = [frame.shots.get(name) for frame in frames]
+    with ThreadPoolExecutor() as pool:
+        files = list(pool.map(lambda shot: None if shot is None else read_shot(shot, spectrum.source), shots))
     present = [file for file in files if file is not None]
     displays = tuple(None if file is None else file.display for file in files)
     if spectrum.source == "photograph":
@@ -93,12 +95,6 @@ def _is_constant(file: SpectrumFile) -> bool:
         if image is not None and all((part == image[0, 0]).all() for part in (image[::8, ::8], image)):
             return True
     return False
-
-
-def _read_files(shots: Sequence[Shot | None], source: Source) -> list[SpectrumFile | None]:
-    """``read_shot`` of each, several at a time; None where there is none."""
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda shot: None if shot is None else read_shot(shot, source), shots))
 
 
 def read_shot(shot: Shot, source: Source) -> SpectrumFile:

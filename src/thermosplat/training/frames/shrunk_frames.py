@@ -42,7 +42,8 @@ class ShrunkFrames:
             factor: What the sides of images are divided by. What was kept of another factor goes.
         """
         if factor != self.factor:
-            self._forget()
+            self._frames.reserve(-sum(frame.num_bytes for frame in self._kept.values()))
+            self._kept.clear()
             self.factor = factor
         if factor == 1.0:
             return self._frames.at(place, order, end)
@@ -54,10 +55,6 @@ class ShrunkFrames:
         if self._frames.from_disk is None and self._frames.reserve(frame.num_bytes):
             self._kept[index] = frame
         return frame
-
-    def _forget(self) -> None:
-        self._frames.reserve(-sum(frame.num_bytes for frame in self._kept.values()))
-        self._kept.clear()
 
 
 def shrunk_frame(frame: FrameTensors, taken: Mapping[str, View], factor: float) -> FrameTensors:
