@@ -229,8 +229,8 @@ class TrainingStep:
         if part.weight != 1.0:
             losses = {name: part.weight * loss for name, loss in losses.items()}
         # While cameras are found there are no penalties on Gaussians: they would open holes.
-        unweighted = {"opacity_reg": 0.0, "scale_reg": 0.0} if kind.geometry_held else {}
-        losses |= self._penalties(part, replace(config.loss, **unweighted), rendered)
+        weights = replace(config.loss, opacity_reg=0.0, scale_reg=0.0) if kind.geometry_held else config.loss
+        losses |= self._penalties(part, weights, rendered)
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             images = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
