@@ -43,11 +43,6 @@ def preset_paths() -> dict[str, Path]:
     return {path.stem: path for path in sorted(presets_folder().rglob("*.yaml"), key=lambda path: path.stem)}
 
 
-def list_presets() -> tuple[str, ...]:
-    """Names that ``--config`` knows."""
-    return tuple(preset_paths())
-
-
 def load_config(name_or_path: str | Path) -> TrainConfig:
     """The configuration a preset or a YAML file describes.
 

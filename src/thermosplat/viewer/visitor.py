@@ -26,7 +26,7 @@ from thermosplat.viewer.freed_memory import give_back
 from thermosplat.viewer.measure_panel import MeasurePanel
 from thermosplat.viewer.measurements import save_measurements
 from thermosplat.viewer.notices import NOTICES
-from thermosplat.viewer.orbit import orbit, rotation
+from thermosplat.viewer.orbit import orbit
 from thermosplat.viewer.pace import Pace
 from thermosplat.viewer.page_state import state_html
 from thermosplat.viewer.picture_sizes import fitting
@@ -162,9 +162,11 @@ class Visitor:
 
     def view(self, name: str = "") -> Bookmark:
         """Where the tab's camera is."""
+        from viser import transforms
+
         camera = self.client.camera
         pose = np.eye(4)
-        pose[:3, :3] = rotation(camera.wxyz)
+        pose[:3, :3] = transforms.SO3(np.asarray(camera.wxyz, np.float64)).normalize().as_matrix()
         pose[:3, 3] = camera.position
         return Bookmark(name, np.linalg.inv(pose).astype(np.float64), math.degrees(camera.fov))
 
