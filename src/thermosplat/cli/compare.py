@@ -89,11 +89,7 @@ def _run_of(named: str, arguments: CompareArguments, output: Path) -> str:
 
 
 def _do(*words: str) -> None:
-    """Run another command in a process of its own, whose memory is free afterwards.
-
-    Raises:
-        SystemExit: It failed, and has said why.
-    """
+    """Run another command in a process of its own, whose memory is free afterwards."""
     print(f"thermosplat-{shlex.join(words)}", flush=True)
     if code := subprocess.run([sys.executable, "-P", "-m", "thermosplat", *words], check=False).returncode:
         sys.exit(code)

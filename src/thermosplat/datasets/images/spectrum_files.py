@@ -156,11 +156,7 @@ def as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _require_8bit(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """The image, if it is 8-bit.
-
-    Raises:
-        UserError: It is not.
-    """
+    """The image, if it is 8-bit."""
     if image.dtype != np.uint8:
         raise UserError(
             f"{path} has {image.dtype} colour; 8-bit colour or one-channel radiometric images are expected."

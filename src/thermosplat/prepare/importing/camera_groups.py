@@ -107,11 +107,7 @@ def named_role(name: str) -> str:
 
 
 def _refuse_further_folders(files: Sequence[SourceFile]) -> None:
-    """Refuse images in a folder of their own that no name tells, beside named photographs and thermal files.
-
-    Raises:
-        UserError: There are some: images of a further spectrum, or what does not belong to the capture.
-    """
+    """Refuse images in a folder of their own that no name tells, beside named photographs and thermal files."""
     named: dict[str, set[PurePosixPath]] = {}
     for file in files:
         named.setdefault(named_role(file.name), set()).add(PurePosixPath(file.name).parent)

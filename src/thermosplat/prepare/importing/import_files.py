@@ -189,11 +189,7 @@ def _embedded(
 
 
 def _further(rows: Sequence[FrameRow]) -> list[str]:
-    """How many images of each further spectrum have the name of a photograph, whose camera they take.
-
-    Raises:
-        UserError: None of a spectrum has.
-    """
+    """How many images of each further spectrum have the name of a photograph, whose camera they take."""
     stems = {PurePosixPath(row.file).stem for row in rows if row.spectrum == LEADING}
     said = []
     for spectrum in dict.fromkeys(row.spectrum for row in rows if row.spectrum not in (LEADING, OTHER)):
