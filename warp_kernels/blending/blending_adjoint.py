@@ -30,7 +30,6 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     """The adjoint kernel, one block of threads a list or a segment of a long one.
 
     Args:
-        variant: channels, opacities, precision and deal of pixels.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
         by_slot: store one record per pair and warp instead of adding atomically per Gaussian; on the CPU always.
     """

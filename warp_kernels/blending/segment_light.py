@@ -18,9 +18,6 @@ from warp_kernels.machinery.loading import made_once
 @made_once
 def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
     """The kernel, one block of threads a list or a segment of a long one; whole lists and last segments need no light.
-
-    Args:
-        variant: channels, opacities, precision and deal of pixels.
     """
     dtype, layout, kinds, dual = variant.dtype, variant.layout, variant.types, variant.dual
     lanes, rows, columns, threads, pixels = layout.lanes, layout.rows, layout.columns, layout.threads, variant.pixels

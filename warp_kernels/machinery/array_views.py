@@ -83,11 +83,7 @@ class ArrayView:
         return self._layout.strides
 
     def gradient_at(self, ptr: int, owner: Any = None) -> None:
-        """Gives the array a gradient of its own shape and type, whose elements follow one another.
-
-        Args:
-            owner: as in the constructor.
-        """
+        """Gives the array a gradient of its own shape and type, whose elements follow one another."""
         self.grad = ArrayView(ptr, self.shape, self.dtype, self.device, owner)
 
     def __len__(self) -> int:

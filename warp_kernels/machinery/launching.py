@@ -97,11 +97,7 @@ class RecordedLaunch:
         self._pointers = ctypes.byref(command.bounds), ctypes.byref(self._bytes)
 
     def launch(self, dim: Dim, inputs: list[Any]) -> None:
-        """Launches with other arguments and another number of threads.
-
-        Args:
-            inputs: as in the constructor.
-        """
+        """Launches with other arguments and another number of threads."""
         if dim != self._dim:
             self._resize(dim)
         packed: list[Any] = []
@@ -211,7 +207,6 @@ def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[A
 
     Args:
         kernel: its first argument is the first tile of the range; ``inputs`` are the others, outputs included.
-        threads: threads a tile.
     """
     if num_tiles == 0:
         return

@@ -68,9 +68,6 @@ def start() -> None:
 def first_use(kernel: wp.Kernel, device: wp.Device, block: int) -> Iterator[None]:
     """Around the first launch of a kernel by a thread: loads it if no thread has, while no other thread loads anything.
 
-    Args:
-        block: threads of a block on CUDA.
-
     Raises:
         KernelCacheError: if the folder for compiled kernels cannot be read or written.
     """

@@ -72,10 +72,8 @@ def project_through_lenses(
     """Projects Gaussians as ``plain_camera_step.project_gaussians`` does, through lenses.
 
     Args:
-        gaussians: inputs, with quats and scales.
         lenses: of the images; also takes what the adjoint reads.
         settings: image size, planes and mode; its camera model is not used.
-        projected: outputs, one entry an (image, Gaussian) pair.
     """
     device, dtype, rolling = gaussians.means.device, gaussians.opacities.dtype, lens.shutter is not None
     lenses.limits = lens_limits(lenses.coefficients, lens.model)

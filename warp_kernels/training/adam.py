@@ -124,8 +124,6 @@ def adam_update(
     Args:
         parameters: none of them empty.
         blocked: float32 [1]; not 0: leave everything as it is.
-        betas: decay of the moments.
-        epsilon: added to the denominator.
         decay: of the parameters; each loses rate · decay of itself.
     """
     for of_launch, ends in launches([len(p.parameter) for p in parameters]):

@@ -160,8 +160,6 @@ def row_adam_update(
     Args:
         rows: of one parameter.
         blocked: float32 [1]; not 0: leave everything as it is.
-        betas: decay of the moments.
-        epsilon: added to the denominator.
         decay: of the parameter; a row loses rate · decay of itself.
     """
     device = rows.step.device

@@ -58,8 +58,6 @@ def update_visible(
         exp_avgs: [N · length], first moments.
         exp_avg_sqs: [N · length], second moments.
         visible: bool [N].
-        betas: decay of the moments.
-        epsilon: added to the denominator.
     """
     count = parameters.shape[0]
     scalars = [count // max(visible.shape[0], 1), rate, 1.0 - betas[0], 1.0 - betas[1], epsilon]

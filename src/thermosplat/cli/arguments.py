@@ -126,7 +126,6 @@ def with_measured(argv: list[str], config: TrainConfig, measured: dict[str, Any]
     """The configuration that a command line asks for, with what the images of the capture recommend.
 
     Args:
-        argv: Arguments without the program's name, of a run that begins.
         config: What ``parse_train_arguments`` made of them.
     """
     changed = parse_train_arguments(argv, measured) if measured else config

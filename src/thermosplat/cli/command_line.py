@@ -48,7 +48,6 @@ def check_ranges(arguments: object, **ranges: tuple[float, float]) -> None:
     """Refuse numbers that a command cannot work with, NaN among them.
 
     Args:
-        arguments: As understood.
         **ranges: Least and largest value by the argument's name, of a number or of each of several. None is always
             allowed.
 

@@ -60,7 +60,6 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
 
     Args:
         grid: The grid, in the frame of the first date's scene.
-        spectrum: Whose values are compared.
         photographs: The spectrum of the photographs; None: there is none.
     """
     own, run = replace(grid, frame=grid.frame.of(date.to_first)), date.run

@@ -75,7 +75,6 @@ def shared_frame(
     """Find where the scene of another date lies in the first.
 
     Args:
-        first: Run and capture of the first date.
         spectrum: Photographs that both have.
         start: About where the other scene lies in the first, by GPS; it only tells which photographs are near.
 

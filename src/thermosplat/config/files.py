@@ -46,9 +46,6 @@ def preset_paths() -> dict[str, Path]:
 def load_config(name_or_path: str | Path) -> TrainConfig:
     """The configuration a preset or a YAML file describes.
 
-    Args:
-        name_or_path: A preset's name, or a path to a YAML file.
-
     Returns:
         The configuration; its ``config`` field is the name given, unless the file itself states one (as the resolved
         config.yaml of a run does).
@@ -132,11 +129,7 @@ def _find(name_or_path: str, relative_to: Path, *, is_base: bool) -> Path:
 
 
 def data_from_anywhere(data: str) -> str:
-    """What names a capture (``TrainConfig.data``) as a run keeps it: a path that holds from any directory.
-
-    Args:
-        data: A folder, or "sample".
-    """
+    """What names a capture (``TrainConfig.data``) as a run keeps it: a path that holds from any directory."""
     return data if data == "sample" else _from_anywhere(data)
 
 

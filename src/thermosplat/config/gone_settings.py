@@ -106,7 +106,6 @@ def without_gone_settings(values: dict[str, Any], *, source: str, notes: list[st
 
     Args:
         values: Nested dictionaries, from any version.
-        source: File or other origin, for messages.
         notes: Of what is trained already: takes what to tell of settings that are left out though they asked for
             something else than what is done today. None: nothing is trained yet, and such a setting is a mistake.
 

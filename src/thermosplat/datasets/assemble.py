@@ -57,9 +57,7 @@ def assemble(
     """Read the images of a listing, or where they take more memory than they may, what is to be known of them.
 
     Args:
-        listing: Its files, cameras and points.
         test_every: Period of the hold-out rule, where the folders do not divide the frames.
-        spectra: The spectra, and how the images of each are read.
         lens: "undistort" resamples distorted images to pinhole images; "direct" leaves them as they were taken.
         image_memory: As of ``TrainConfig``.
 

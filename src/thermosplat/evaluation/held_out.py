@@ -109,7 +109,6 @@ def rendered_views(
     """Render a frame; yields its spectra that are both modelled and photographed.
 
     Args:
-        scales: The capture's scales.
         temperatures: How measured values are recalculated; None: they are not.
     """
     # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
@@ -189,7 +188,6 @@ def frame_comparisons(
     """Ground truth, render and error of one frame, by spectrum.
 
     Args:
-        scales: The capture's scales.
         ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales.
     """
     shown = ranges or {}

@@ -134,11 +134,7 @@ def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
 def header_comments(
     model: SceneModel, name: str, scale: PixelScale, frame: ExportFrame, *, colors: Colors = "palette"
 ) -> list[str]:
-    """What a file says about its splats: the spectrum, its palette and range, how exact its colours are.
-
-    Args:
-        frame: Where positions count from.
-    """
+    """What a file says about its splats: the spectrum, its palette and range, how exact its colours are."""
     comments = [f"thermosplat {name}", *frame.comments()]
     exact = model.formations[name].exact_splats
     if not exact:

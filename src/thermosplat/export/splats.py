@@ -96,7 +96,6 @@ def in_world(splats: Splats, placement: Placement) -> Splats:
 
     Args:
         splats: In the scene's frame.
-        placement: Where the scene lies in the world.
     """
     if placement.unit == 1.0:
         return splats

@@ -129,7 +129,6 @@ def squared_error(image: Tensor, target: Tensor, mask: Tensor | None = None) -> 
 
     Args:
         image: [H, W, C].
-        target: The same shape.
         mask: bool [H, W], which pixels count; None: all.
     """
     squares = (image.clamp(0.0, 1.0) - target).square()

@@ -49,7 +49,6 @@ def color_bar(palette: Palette, low: float, high: float, unit: str, height: int)
     """A colour bar on black, to stand beside a picture.
 
     Args:
-        high: Value at its upper end.
         unit: Written above it, such as "°C"; "" for values without one.
         height: Height of the picture [px], at least 60.
 

@@ -108,7 +108,6 @@ def check_choice(name: str, value: Any) -> None:
 
     Args:
         name: of the argument; what is none of them is a degree of spherical harmonics.
-        value: what was given, a whole number as Python's.
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.

@@ -221,7 +221,6 @@ def num_nonfinite(
     Args:
         inputs: each with its number of values per Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
             camera and then Gaussian by Gaussian.
-        cameras: view matrices and intrinsics, scene by scene.
         num_gaussians: N, Gaussians of a scene.
     """
     if scenes * num_gaussians == 0:

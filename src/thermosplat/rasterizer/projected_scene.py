@@ -229,7 +229,6 @@ def tile_lists(
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same array where there is one opacity.
         features: [images · N, D].
-        settings: image size.
         tile_size: edge of a tile [px].
         rest: [images · N, D'], channels that lie apart from those; None: there are no others.
         room: of the lists; None: the number of pairs is read back from the device.

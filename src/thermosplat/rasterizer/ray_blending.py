@@ -64,12 +64,9 @@ def blend_along_rays(
     """Blends features, and what rays know of Gaussians, in the order and the tiles of a projection.
 
     Args:
-        splats: Its Gaussians, with quats and scales.
         cameras: Its cameras, of which rays are made where none are given.
         features: [images · N, D].
-        chunk: So many channels are blended at a time.
         rays: Origin and direction of every pixel, [..., C, H, W, 6]; or None.
-        hits: Blend the distances to the Gaussians.
 
     Raises:
         UserError: the rays have the wrong shape.

@@ -87,7 +87,6 @@ def route_of_seen(visible: Tensor, cameras: Sequence[int]) -> Route:
 
     Args:
         visible: bool [C_world, N].
-        cameras: Cameras of each rank.
     """
     rank, edges = dist.get_rank(), list(pairwise([0, *accumulate(cameras)]))
     counts = [of_rank.tolist() for of_rank in tensors_of_all(visible.sum(dim=1))]  # [W][C_world]
@@ -107,7 +106,6 @@ def route_in_room(visible: Tensor, cameras: Sequence[int], room: int) -> Route:
 
     Args:
         visible: bool [C_world, N].
-        cameras: Cameras of each rank.
         room: Gaussians of a rank before a camera; the same number on every rank.
     """
     rank = dist.get_rank()

@@ -21,7 +21,6 @@ def moved_frame(
     """All cameras of a frame, moved as one: a point x of theirs goes to R (x - center) + center + t.
 
     Args:
-        views: The cameras by spectrum.
         motion: (r, t), shape [6].
         center: The point about which they turn [world units], shape [3].
         scene_extent: Radius of the scene [world units], the unit of t.

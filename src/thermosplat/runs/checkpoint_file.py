@@ -90,9 +90,6 @@ def num_stored_bytes(state: Any) -> int:
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoint:
     """Read a checkpoint.
 
-    Args:
-        device: Where its tensors go.
-
     Raises:
         UserError: If there is no such file, it is damaged, not a checkpoint that this version reads, or holds another
             step than its name says.

@@ -299,7 +299,6 @@ class RunDirectory:
         """Write a JSON file, atomically.
 
         Args:
-            path: Where in the run folder.
             value: Plain types. Numbers that are not finite become null: JSON has none.
         """
         text = json.dumps(finite_or_null(value), indent=2, allow_nan=False) + "\n"

@@ -73,10 +73,6 @@ def _lie_close(config: TrainConfig, capture: "Capture", distances: NDArray[np.fl
 
 
 def sets_of(config: ModelConfig, formations: Formations) -> dict[str, list[Formation]]:
-    """The formations of the spectra that each set of Gaussians renders, by the set's name.
-
-    Args:
-        config: Says which sets there are.
-    """
+    """The formations of the spectra that each set of Gaussians renders, by the set's name."""
     every = {name: formations[name] for name in formations.spectra}
     return {SHARED: list(every.values())} if config.gaussian_sets == SHARED else {name: [every[name]] for name in every}

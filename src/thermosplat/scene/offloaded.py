@@ -42,8 +42,6 @@ class OffloadedParameter(nn.Parameter):
 
         Args:
             values: float32, anywhere.
-            on_host: Whether the numbers lie in the host's memory.
-            requires_grad: Whether it is trained.
         """
         values = values.detach()
         made = cls(in_host_rows(values, device) if on_host else values.to(device), requires_grad)

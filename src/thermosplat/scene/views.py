@@ -254,7 +254,6 @@ def blend_features(
     traversal of its own.
 
     Args:
-        gaussians: A set that has features.
         photograph: The one of them that takes SH colours; None: none does.
         rendered: Takes the spreads of depths, and what rasterizations say about their calls.
     """

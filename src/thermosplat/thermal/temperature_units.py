@@ -92,7 +92,6 @@ def check_filled(values: NDArray[Any], unit: str | None, folder: str, flag: str,
     Args:
         values: The values, [N].
         unit: The stated unit; None: usual temperatures of any unit are looked for.
-        folder: Where the values come from, for the message.
         flag: What says that they are counts.
         integer: The files hold integers.
 
@@ -159,7 +158,6 @@ def read_statement(path: Path, spectrum: str) -> RadiometricStatement:
 
     Args:
         path: The file; may be absent.
-        spectrum: Name of the spectrum that it is about, for messages.
 
     Returns:
         What it states; nothing for a missing file.

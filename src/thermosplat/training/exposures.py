@@ -75,7 +75,6 @@ class Exposures(nn.Module):
         """Note as the maps' gradients what those of one training frame lack. Nothing here waits for the device.
 
         Args:
-            rendered: The render without exposures.
             frame: The frame, with its index among all.
         """
         for name, maps in self.maps.items():

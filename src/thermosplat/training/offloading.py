@@ -30,11 +30,7 @@ _GB = 1e9
 
 
 def refused(config: TrainConfig, *, divided: bool = False) -> str | None:
-    """Why a training cannot offload, in one sentence; None: it can.
-
-    Args:
-        divided: Whether several processes train the scene.
-    """
+    """Why a training cannot offload, in one sentence; None: it can."""
     if divided:
         return "--offload works on one device, and this training is divided over several."
     if (config.batch_size or 1) > 1:
@@ -59,7 +55,6 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device, *, div
 
     Args:
         model: The model at the start of the training or as it was resumed, anywhere.
-        divided: Whether several processes train it.
 
     Raises:
         UserError: It is asked for where it does not work.

@@ -136,7 +136,6 @@ def step_unless(blocked: Tensor, optimizers: Mapping[str, Optimizers]) -> None:
 
     Args:
         blocked: float32 scalar on the parameters' device; 1 leaves parameters and moments as they are.
-        optimizers: The optimizers, by owner and parameter name.
     """
     every = [optimizer for owned in optimizers.values() for optimizer in owned.values()]
     by_warp = [optimizer for optimizer in every if isinstance(optimizer, WarpAdam)]
@@ -202,7 +201,6 @@ class FiniteGuard:
 
         Args:
             step: Its number, from 1; int64 scalar on the device.
-            losses: The loss terms, scalars, by name.
         """
         named = {name: [loss.detach()] for name, loss in losses.items()}
         named |= {f"gradient of {name}": tensors for name, tensors in gradients.items() if tensors}

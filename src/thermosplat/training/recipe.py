@@ -50,7 +50,6 @@ class Recipe:
         """The recipe of a run.
 
         Args:
-            asked: The configuration as it was given.
             checkpoint: What it goes on from; None: it begins.
         """
         known = None if checkpoint is None else checkpoint.training.noisy

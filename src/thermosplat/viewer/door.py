@@ -72,9 +72,6 @@ class Door:
     def answer(self, connection: Any, request: Any, inside: Callable[[Any, Any], Any]) -> Any:
         """Answer a request, or let viser answer it.
 
-        Args:
-            request: What is asked; its path loses the token.
-
         Returns:
             A response; None lets a websocket be opened.
         """

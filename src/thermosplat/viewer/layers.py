@@ -251,11 +251,7 @@ class LayerRenderer:
 
     @torch.no_grad()
     def how_sure(self, layer: Layer, view: ViewTensors) -> Sure | None:
-        """How sure the values of an image are; None where nobody knows.
-
-        Args:
-            view: From where it is rendered.
-        """
+        """How sure the values of an image are; None where nobody knows."""
         certainty = self.scene.certainties.get(layer.spectrum) if layer.kind == "image" else None
         if certainty is None:
             return None

@@ -147,7 +147,6 @@ class Measurer:
         """The views of the capture, rendered as small as regions are looked for in them.
 
         Args:
-            spectrum: Which is looked at.
             width: Of the pictures [px]; those of the capture are not enlarged.
 
         Raises:
@@ -203,9 +202,7 @@ def seen_layer(
     """A layer as measurements see it.
 
     Args:
-        image: The layer, of values.
         depth: The depth of its spectrum from the same view.
-        temperatures: How it was recalculated.
 
     Raises:
         UserError: It is a layer of colours.

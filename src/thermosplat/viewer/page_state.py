@@ -53,7 +53,6 @@ def legend_html(title: str, bar: tuple[Palette, float, float, str] | None, *belo
 
     Args:
         bar: Palette, values at its ends and their unit; None: no colour bar.
-        *below: Lines below it.
 
     Returns:
         HTML; texts are escaped.

@@ -82,7 +82,6 @@ class ViewSession:
         """Make the picture from a view. Nothing is rendered anew that the last picture from there has.
 
         Args:
-            view: From where.
             width: Of the picture [px].
             height: Of the picture [px].
             full: Also make the values, which are read by ``probe`` and ``measure``.

@@ -242,7 +242,6 @@ class Visitor:
         """Render what this tab sees from a view, with its marks, and write it beside what was saved before.
 
         Args:
-            view: From where.
             width: Of the picture [px], without its colour bar.
             height: Of the picture [px].
         """

@@ -93,10 +93,6 @@ def fitted_scene(
 ) -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
     """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of.
 
-    Args:
-        arguments: The command's: spectra, passes of the fit.
-        frame: Where positions of files count from.
-
     Raises:
         UserError: There is no capture to fit to, or no such spectrum.
     """
@@ -147,12 +143,7 @@ def fitted_scene(
 
 
 def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] = time.monotonic) -> Iterable[int]:
-    """Steps to be done one after the other, shown to whoever waits for them.
-
-    Args:
-        name: The spectrum whose splats are fitted.
-        clock: Seconds.
-    """
+    """Steps to be done one after the other, shown to whoever waits for them."""
     console = SafeConsole()
     if not console.is_terminal:
         return _with_lines(steps, name, clock)

@@ -48,7 +48,6 @@ def check_devices(devices: int, device: str) -> None:
     """Refuse more devices than there are, before a process is started for each.
 
     Args:
-        devices: How many are asked for.
         device: What ``--device`` says.
 
     Raises:

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 def watched(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     """Around a training: serve the viewer meanwhile, if it is asked for.
 
-    Args:
-        flags: Where it is shown.
-
     Raises:
         UserError: viser is not installed, or the address cannot be served at.
     """

@@ -33,7 +33,6 @@ def read_spectrum(
     """The images of one spectrum of each frame; None if no frame has one.
 
     Args:
-        listing: What the layout knows of the capture.
         ranging: Exposures whose values decide the range, where `frames` are not all; as of ``interpret``.
 
     Raises:

@@ -76,7 +76,6 @@ def interpret(
         files: At least one exposure.
         config: The user's choices; they win over everything the capture states.
         palette: Palette of pseudo-coloured images; a scalar is shown with it.
-        statement: What the capture says of its radiometric values.
         grey_range: Temperatures [°C] of black and white in grey images, if the capture states them.
         ranging: Exposures with radiometric values whose extremes are the range, gone through one by one; None:
             `files`.

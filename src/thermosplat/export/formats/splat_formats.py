@@ -58,9 +58,6 @@ def write_format(format: SplatFormat, folder: Path, scene: Described) -> Written
 def check_degree(format: str, spectrum: str, splats: Splats) -> None:
     """Refuse harmonics that a format has no room for.
 
-    Args:
-        spectrum: Whose splats these are.
-
     Raises:
         UserError: They use more.
     """

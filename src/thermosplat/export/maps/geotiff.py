@@ -48,7 +48,6 @@ def write_geotiff(
         north: Coordinate of its upper edge.
         pixel: Side of a pixel, in the unit of the coordinates.
         crs: Coordinate system; None: local coordinates.
-        tags: Further facts about the map, as text.
     """
     rasterio = rasterio_module()
     transform = rasterio.transform.from_origin(west, north, pixel, pixel)

@@ -48,7 +48,6 @@ class MapGrid:
 
         Args:
             extent: West, south, east, north.
-            pixel: Ground sampling distance.
             top: Height from which the map is seen.
 
         Raises:
@@ -86,7 +85,6 @@ class MapGrid:
 
         Args:
             frame: As of ``covering``.
-            leading: The spectrum whose cameras are looked at.
             extent: As of ``covering``; None: what the cameras saw.
             pixel: As of ``covering``; None: so that the longer side has ``pixels``.
             pixels: Along the longer side.

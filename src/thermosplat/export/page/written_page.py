@@ -71,7 +71,6 @@ def page_of(scene: PageScene, layers: Sequence[PageLayer], palette: Palette) -> 
 
     Args:
         layers: Its spectra, at least one.
-        palette: That of its values, to begin with.
     """
     room = files(__package__)
     script = '"use strict";\n(() => {\n' + "".join(room.joinpath(name).read_text("utf-8") for name in SCRIPTS) + "})();"

@@ -37,7 +37,6 @@ def errors_of_splats(splats: Splats, exact: ExactImages, views: Sequence[ViewTen
     """The squared error that lies in the pixels of each splat, [N].
 
     Args:
-        splats: As they are now.
         views: Where to measure; of many views some.
     """
     total = torch.zeros_like(splats.logit_opacities)

@@ -51,7 +51,6 @@ def depth_view(
     Args:
         name: The spectrum whose depth and colours are taken.
         view: Its camera; a distortion of the lens is left out.
-        scales: What pixel values mean, by spectrum.
         temperatures: How temperatures are recalculated; None: they are not.
     """
     pinhole = view.as_pinhole()
@@ -108,7 +107,6 @@ def depth_points(
 
     Args:
         views: Cameras, those of training.
-        scales: What pixel values mean, by spectrum.
         most: Points at most; each view gives its share, at random.
         temperatures: As of ``depth_view``.
     """
@@ -139,6 +137,5 @@ def placed_points(points: NDArray[np.floating], placement: Placement) -> NDArray
 
     Args:
         points: In the scene's frame.
-        placement: Where it lies in the world.
     """
     return placement.to_world(points).astype(np.float64 if placement.is_moved else np.float32)

@@ -50,7 +50,6 @@ def calibrate_rig(
     """Lenses and pose that fit all pairs best.
 
     Args:
-        pairs: Boards that both cameras have seen.
         rgb_size: Width and height of the photographs [px].
         thermal_size: Width and height of the thermal images [px].
     """

@@ -34,11 +34,7 @@ exposure have up to 0.12."""
 def quick_findings(
     capture: Capture, spectra: Mapping[str, SpectrumConfig], refined: Collection[str] = ()
 ) -> list[Finding]:
-    """What is probably wrong, and a sensor that drifts without the training allowing for it.
-
-    Args:
-        refined: What of the cameras training corrects.
-    """
+    """What is probably wrong, and a sensor that drifts without the training allowing for it."""
     drifts = (Finding("warning", note) for note in drift_notes(capture, spectra))
     return [*wrong_findings(capture, spectra, refined), *drifts]
 
@@ -46,11 +42,7 @@ def quick_findings(
 def wrong_findings(
     capture: Capture, spectra: Mapping[str, SpectrumConfig], refined: Collection[str] = ()
 ) -> list[Finding]:
-    """A sentence on each thing that is probably wrong with a capture that can be read, and settings that help.
-
-    Args:
-        refined: What of the cameras training corrects.
-    """
+    """A sentence on each thing that is probably wrong with a capture that can be read, and settings that help."""
     frames = sorted((*capture.train, *capture.test), key=lambda frame: frame.name)
     if capture.on_disk is not None:
         frames = [_in_memory(frame) for frame in frames[:: -(-len(frames) // _READ_FROM_DISK)]]

@@ -82,7 +82,6 @@ class SourceFile:
         """The row of frames.csv for an image of a capture that is made of this one.
 
         Args:
-            file: Its name in the capture.
             width: [px].
             height: [px].
         """

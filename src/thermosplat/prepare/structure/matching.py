@@ -54,7 +54,6 @@ def enter_photographs(database: Path, cameras: Sequence[tuple[pycolmap.Camera, l
 
     Args:
         database: File of the database; made where it is not there.
-        cameras: Cameras with their photographs.
     """
     with opened(database) as connection, pycolmap.DatabaseTransaction(connection):
         image_id = 0

@@ -39,11 +39,7 @@ def restored_formations(
 
 
 def as_trained(spectra: Mapping[str, SpectrumConfig], saved: Saved) -> dict[str, SpectrumConfig]:
-    """The spectra by name with the blur that a saved scene has, or has not: noise decides no more.
-
-    Args:
-        spectra: As they were asked for.
-    """
+    """The spectra by name with the blur that a saved scene has, or has not: noise decides no more."""
     found, trained = _by_todays_names(saved), dict(spectra)
     for name, one in spectra.items():
         if one.by_noise:

@@ -71,7 +71,6 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
     """Append a copy of each named Gaussian, of a repeated one several.
 
     Args:
-        gaussians: The Gaussians, N of them.
         indices: int64, shape [n].
     """
     number = len(next(gaussians.parameters()))
@@ -144,7 +143,6 @@ def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None
     """Remove Gaussians.
 
     Args:
-        gaussians: The Gaussians, N of them.
         removed: Boolean, shape [N].
     """
     kept = torch.where(~removed)[0]

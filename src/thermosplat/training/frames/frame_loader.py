@@ -58,7 +58,6 @@ def num_processes(frames: Sequence[Stored], memory: float) -> int:
     """How many processes may read frames ahead.
 
     Args:
-        frames: Where the pixels of each frame are.
         memory: What images may take [bytes].
 
     Raises:

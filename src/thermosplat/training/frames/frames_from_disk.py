@@ -147,12 +147,7 @@ class FrameCopies:
         self._under_way: deque[tuple[torch.cuda.Event, ReadFrame]] = deque()
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> _Copy:
-        """The frame at a place of an order, for work on the current stream.
-
-        Args:
-            order: Index of the frame at each place.
-            end: One beyond the last place.
-        """
+        """The frame at a place of an order, for work on the current stream."""
         self._release()
         if not self._copies or (self._copies[0].place, self._copies[0].index) != (place, order(place)):
             self._copies.clear()

@@ -37,8 +37,6 @@ class ShrunkFrames:
         """Tensors of the frame at a place of an order, as ``TrainFrames.at``.
 
         Args:
-            order: Index of the frame at each place.
-            end: One beyond the last place.
             factor: What the sides of images are divided by. What was kept of another factor goes.
         """
         if factor != self.factor:
@@ -61,7 +59,6 @@ def shrunk_frame(frame: FrameTensors, taken: Mapping[str, View], factor: float) 
     """A frame whose images have sides divided by a factor, packed, without measured values.
 
     Args:
-        frame: The frame at full size.
         taken: Its views as the capture has them, by spectrum.
         factor: At least 1.
     """
@@ -73,8 +70,6 @@ def shrunk_view(view: ViewTensors, taken: View, factor: float) -> ViewTensors:
     """A view whose image has sides divided by a factor; no side is made shorter than ``SHORTEST_SIDE``.
 
     Args:
-        view: The view at full size.
-        taken: The same view as the capture has it.
         factor: At least 1.
     """
     longest = min(view.width, view.height) / SHORTEST_SIDE

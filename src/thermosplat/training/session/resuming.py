@@ -117,10 +117,6 @@ def placed_as_trained(capture: Capture, checkpoint: Checkpoint) -> Capture:
 def check_steps_left(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory) -> None:
     """Refuse to go on to fewer steps than are done.
 
-    Args:
-        config: What the run does on its capture.
-        run: The run, for the message.
-
     Raises:
         UserError: Has both numbers.
     """

@@ -105,7 +105,6 @@ class RunLogger:
         """The logger of a training.
 
         Args:
-            run: Where the files go.
             speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
         """
         if speaks:
@@ -196,7 +195,6 @@ class RunLogger:
         """Record an evaluation on the held-out views.
 
         Args:
-            step: Steps done.
             metrics: What ``held_out.evaluate`` returned.
         """
         self._report_late()

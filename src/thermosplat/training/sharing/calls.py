@@ -90,7 +90,6 @@ def infos_of_frame(
     """What density control looks at of one frame, by set.
 
     Args:
-        infos: Of the calls, by set.
         camera: Which camera of each call is the frame's.
         groups: The frame's groups; None: all calls are its own.
     """
@@ -133,7 +132,6 @@ class TakingPart(torch.autograd.Function):
         """Zero, a scalar.
 
         Args:
-            ctx: What the backward pass reads.
             *images: Of all renderings that other ranks take part in.
         """
         return images[0].new_zeros(())

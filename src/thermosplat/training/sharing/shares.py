@@ -163,11 +163,7 @@ def whole_checkpoint(team: Team, state: TrainingState, own: Checkpoint, *, train
 
 
 def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
-    """Go on from a checkpoint of the same step with other Gaussians, in place.
-
-    Args:
-        checkpoint: This rank's share.
-    """
+    """Go on from a checkpoint of the same step with other Gaussians, in place."""
     device = state.step_on_device.device
     model = SceneModel.from_checkpoint(checkpoint, device)
     saved = checkpoint.training.optimizers or {}
