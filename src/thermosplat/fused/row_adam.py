@@ -51,7 +51,7 @@ class RowAdam(torch.optim.Adam):
     """What the step under way has used; None: nothing, and there is no update."""
     rows_on_device: int = 0
     """Rows whose moments lie on the device, if there are as many and it has room for them."""
-    _near: Tensor | None = None
+    near: Tensor | None = None
     """Moments of the first rows, on the device, float32 [R, 2 L] as in ``host_rows.Pair.buffer``."""
 
     @property
@@ -62,7 +62,7 @@ class RowAdam(torch.optim.Adam):
 
     @state.setter
     def state(self, state: defaultdict[Tensor, Any]) -> None:
-        self._near, self._state = None, state
+        self.near, self._state = None, state
 
     @property
     def parameter(self) -> Tensor:
@@ -88,8 +88,8 @@ class RowAdam(torch.optim.Adam):
         moments = paired(state["exp_avg"], state["exp_avg_sq"], parameter.device)
         state["exp_avg"], state["exp_avg_sq"] = moments
         far, numbers = moments.buffer, row_buffer(parameter)
-        if self._near is None:
-            self._near = self._fetched(far)
+        if self.near is None:
+            self.near = self._fetched(far)
         gradient = values if values.grad is None else values.grad.contiguous()  # None: there are no numbers
         number = len(indices)
         used = values.numel() // max(number, 1)
@@ -99,7 +99,7 @@ class RowAdam(torch.optim.Adam):
                 values=view(values, wp.float32, number, used),
                 gradient=view(gradient, wp.float32, number, used),
                 parameter=view(numbers, wp.float32, *numbers.shape),
-                near=view(self._near, wp.vec4, len(self._near), far.shape[1] // 4),
+                near=view(self.near, wp.vec4, len(self.near), far.shape[1] // 4),
                 far=view(far, wp.vec4, len(far), far.shape[1] // 4),
                 length=length,
                 step=_number(state["step"]),
@@ -120,12 +120,12 @@ class RowAdam(torch.optim.Adam):
     @torch.no_grad()
     def bring_home(self) -> None:
         """Put all moments into the host's memory."""
-        if self._near is None:
+        if self.near is None:
             return
         for state in self._state.values():  # of the one parameter
-            moments = paired(state["exp_avg"], state["exp_avg_sq"], self._near.device)
-            moments.buffer[: len(self._near)].copy_(self._near)
-        self._near = None
+            moments = paired(state["exp_avg"], state["exp_avg_sq"], self.near.device)
+            moments.buffer[: len(self.near)].copy_(self.near)
+        self.near = None
 
     def leave_more_room(self) -> bool:
         """Have moments of half as many rows on the device from now on; of none where they are few.

@@ -80,7 +80,7 @@ class Visitor:
         self.errands = Errands(f"viewer {client.client_id}, controls", self.tell)
         self._thread = threading.Thread(target=self._make_pictures, name=f"viewer {client.client_id}", daemon=True)
         self._state: Any = None
-        self._panels: list[Any] = []
+        self.panels: list[Any] = []
 
     def begin(self) -> None:
         """Build the controls, and begin to send pictures."""
@@ -89,14 +89,14 @@ class Visitor:
         self._state = gui.add_html(self._state_html(None))
         tabs = gui.add_tab_group()
         with tabs.add_tab("View"):
-            self._panels.append(ViewPanel(self))
+            self.panels.append(ViewPanel(self))
         with tabs.add_tab("Measure"):
-            self._panels.append(MeasurePanel(self))
+            self.panels.append(MeasurePanel(self))
         with tabs.add_tab("Cameras"):
-            self._panels.append(CamerasPanel(self))
+            self.panels.append(CamerasPanel(self))
         if self.shared.watch is not None:
             with tabs.add_tab("Training"):
-                self._panels.append(TrainingPanel(self, self.shared.watch))
+                self.panels.append(TrainingPanel(self, self.shared.watch))
         self.client.camera.on_update(self._camera_told)
         self._thread.start()
 
@@ -158,7 +158,7 @@ class Visitor:
 
     def _panels_of(self, kind: type[Panel]) -> list[Panel]:
         """The tab's panels of a kind; none before it began, and after it was closed."""
-        return [panel for panel in self._panels if isinstance(panel, kind)]
+        return [panel for panel in self.panels if isinstance(panel, kind)]
 
     def view(self, name: str = "") -> Bookmark:
         """Where the tab's camera is."""
@@ -286,7 +286,7 @@ class Visitor:
             self._make_pictures_at_start()
         finally:
             self.session.forget_picture()
-            self._panels.clear()
+            self.panels.clear()
             give_back()
 
     def _make_pictures_at_start(self) -> None:

@@ -20,7 +20,7 @@ from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 MOST_PIXELS = 1 << 28
 """Of a map: 1 GiB per band."""
-_TILE = 2048
+TILE = 2048
 """Side of what is rendered at once [px]."""
 
 
@@ -128,9 +128,9 @@ class MapGrid:
 
     def tiles(self) -> Iterator[tuple[int, int, int, int]]:
         """Left column, upper row, columns and rows of the parts that are rendered one after the other."""
-        for upper in range(0, self.height, _TILE):
-            for left in range(0, self.width, _TILE):
-                yield left, upper, min(_TILE, self.width - left), min(_TILE, self.height - upper)
+        for upper in range(0, self.height, TILE):
+            for left in range(0, self.width, TILE):
+                yield left, upper, min(TILE, self.width - left), min(TILE, self.height - upper)
 
 
 @torch.no_grad()
