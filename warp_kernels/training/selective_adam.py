@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
@@ -38,28 +37,3 @@ def selective_adam_kernel(dtype: type) -> wp.Kernel:
             parameters[number] = parameters[number] - rate * m / (wp.sqrt(v) + epsilon)
 
     return update_visible_rows
-
-
-def update_visible(
-    parameters: wp.array,
-    gradients: wp.array,
-    exp_avgs: wp.array,
-    exp_avg_sqs: wp.array,
-    visible: wp.array,
-    rate: float,
-    betas: tuple[float, float],
-    epsilon: float,
-) -> None:
-    """Updates the visible rows of a parameter in place.
-
-    Args:
-        parameters: [N · length].
-        gradients: [N · length].
-        exp_avgs: [N · length], first moments.
-        exp_avg_sqs: [N · length], second moments.
-        visible: bool [N].
-    """
-    count = parameters.shape[0]
-    scalars = [count // max(visible.shape[0], 1), rate, 1.0 - betas[0], 1.0 - betas[1], epsilon]
-    arrays = [visible, gradients, parameters, exp_avgs, exp_avg_sqs]
-    launch(selective_adam_kernel(parameters.dtype), count, [*scalars, *arrays], parameters.device)

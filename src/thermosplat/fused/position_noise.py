@@ -8,7 +8,9 @@ from torch import Tensor
 
 from thermosplat.torch_bridge.arrays import kinds_of, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.training.position_noise import add_position_noise
+from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.position_noise import noise_kernel
 
 
 class StoredGaussians(NamedTuple):
@@ -48,17 +50,18 @@ def add_noise_to_means(
     logits, kinds = gaussians.logit_opacities, kinds_of(gaussians.means.dtype)
     second = gaussians.second_opacities
     seconds = logits[:0] if second is None else second
-    with launches_on_torch_stream(logits.device):
-        add_position_noise(
-            view(gaussians.quats, kinds.vec4),
-            view(gaussians.log_scales, kinds.vec3),
-            view(logits, kinds.scalar),
-            view(seconds, kinds.scalar),
-            gaussians.second_is_offset,
-            view(normals, kinds.vec3),
-            strength,
-            view(rate, wp.float32),
-            gate,
-            view(blocked, wp.float32),
-            view(gaussians.means, kinds.vec3),
-        )
+    inputs = [
+        view(gaussians.quats, kinds.vec4),
+        view(gaussians.log_scales, kinds.vec3),
+        view(logits, kinds.scalar),
+        view(seconds, kinds.scalar),
+        gaussians.second_is_offset,
+        view(normals, kinds.vec3),
+        kinds.scalar(strength),
+        view(rate, wp.float32),
+        *map(kinds.scalar, gate),
+        view(blocked, wp.float32),
+        view(gaussians.means, kinds.vec3),
+    ]
+    with launches_on_torch_stream(logits.device) as device:
+        launch(noise_kernel(kinds.scalar), whole_warps(len(logits), device), inputs, device)
