@@ -104,7 +104,7 @@ def project_through_lenses_adjoint(
     store: bool = False,
     add_to_means: bool = False,
 ) -> None:
-    """The adjoint of ``project_through_lenses``, as ``plain_camera_step.project_gaussians_adjoint`` is of plain cameras.
+    """The adjoint of ``project_through_lenses``, as ``project_gaussians_adjoint`` is that of ``project_gaussians``.
     The other arguments are those of ``project_through_lenses``.
 
     Args:
