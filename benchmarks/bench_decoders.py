@@ -32,8 +32,7 @@ from thermosplat.runs.devices import choose_device
 from thermosplat.runs.environment import environment
 from thermosplat.scene.decoder import Decode, Decoders
 from thermosplat.spectra import DEFAULT_SPECTRA, ColorSpace, model_spectra
-from thermosplat.training.fast_decoders import FastDecoders, can_compile
-from thermosplat.training.fused_decoders import FusedDecoders, teams
+from thermosplat.training.fast_decoders import FastDecoders, FusedDecoders, can_compile, teams
 
 WARM_UP = 3
 

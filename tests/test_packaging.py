@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 import thermosplat
-from thermosplat.config.files import list_presets
+from thermosplat.config.files import preset_paths
 from thermosplat.datasets import load_capture
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -85,7 +85,7 @@ def test_the_commands_are_installed() -> None:
 def test_the_data_files_are_found() -> None:
     """Presets, sample capture, LPIPS heads and the typing marker lie where the code looks for them."""
     configs = {path.stem for path in (REPOSITORY / "configs").rglob("*.yaml")}
-    assert set(list_presets()) == configs
+    assert set(preset_paths()) == configs
     assert len(load_capture("sample").train) == 42
     assert importlib.resources.files(thermosplat).joinpath("py.typed").is_file()
     heads = importlib.resources.files("thermosplat").joinpath("image_quality", "lpips_heads")

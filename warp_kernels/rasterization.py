@@ -39,9 +39,6 @@ def allocate_projected(entries: int, dtype: type, device: wp.Device, requires_gr
         entries: images · N.
         device: where they live.
         requires_grad: give them gradients.
-
-    Returns:
-        The arrays, not initialised.
     """
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
 
@@ -77,9 +74,6 @@ def rasterize(
         tape: records the adjoints. Set ``result.blended.render.grad`` (and transmittance's), then ``tape.backward()``.
         tile_size: edge of a tile [px].
         thermal_channels: blend the last so many channels a second time with ``gaussians.thermal_opacities``.
-
-    Returns:
-        Everything the steps made.
 
     Raises:
         ValueError: if ``settings`` or the number of images ask for what this shortcut does not do, or the numbers in

@@ -28,8 +28,6 @@ def numbers_of(red: Any, green: Any, blue: Any) -> Any:
 
     Args:
         red: Integers from 0 to 255, of any shape.
-        green: As red.
-        blue: As red.
     """
     channels = (red, green, blue)
     return sum((channels[bit % 3] >> (7 - bit // 3) & 1) << bit for bit in range(8))

@@ -40,7 +40,6 @@ class _Output:
     """Standard output or error as a command has it.
 
     Args:
-        stream: What stands behind it.
         lines: Whether a text that is written may have several lines. One of print() may not: a name could have them.
     """
 

@@ -62,9 +62,6 @@ def files_below(folder: Path) -> list[Path]:
 
     Each folder counts once, as links may go in a circle. A link to a folder that it lies in, and one to the system's
     own, is not followed.
-
-    Args:
-        folder: The folder; need not exist.
     """
     return sorted(_walk(folder))
 

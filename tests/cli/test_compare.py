@@ -1,11 +1,11 @@
 """What thermosplat-compare makes of a folder that is no run."""
 
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from thermosplat.cli import compare
-from thermosplat.cli.compare import CompareArguments
+from thermosplat.cli.compare import CompareArguments, run_of
 
 
 @pytest.mark.parametrize(
@@ -25,17 +25,25 @@ def test_a_folder_is_prepared_and_trained_as_the_first_run(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     done: list[str] = []
-    monkeypatch.setattr(compare, "_do", lambda *words: done.append(" ".join(words)))
+
+    def run(command: list[str], *, check: bool) -> subprocess.CompletedProcess[bytes]:
+        done.append(" ".join(command[4:]))
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
     march, june = str(tmp_path / "march"), str(tmp_path / "june")
     arguments = CompareArguments(runs=(march, june))
-    assert compare._run_of(march, arguments, tmp_path / "out") == march
-    assert compare._run_of(june, arguments, tmp_path / "out") == str(tmp_path / "out" / "runs" / "june")
+    assert run_of(march, arguments, tmp_path / "out") == march
+    assert run_of(june, arguments, tmp_path / "out") == str(tmp_path / "out" / "runs" / "june")
     like = f"--config {tmp_path}/march/config.yaml --device auto --overwrite"
     assert [line.replace(like, "like").replace(f"{tmp_path}/", "") for line in done] == expected
 
 
-def test_a_step_that_fails_ends_the_comparison() -> None:
-    """With its own exit code."""
+def test_a_step_that_fails_ends_the_comparison(tmp_path: Path) -> None:
+    """With its own exit code: an empty folder has no files to prepare a capture of."""
+    march, june = tmp_path / "march", tmp_path / "june"
+    for folder in (march, june):
+        folder.mkdir()
     with pytest.raises(SystemExit) as stop:
-        compare._do("no such command")
+        run_of(str(june), CompareArguments(runs=(str(march), str(june))), tmp_path / "out")
     assert stop.value.code == 2

@@ -11,8 +11,8 @@ from thermosplat.config.files import (
     data_from_anywhere,
     files_from_anywhere,
     from_dict,
-    list_presets,
     load_config,
+    preset_paths,
     to_dict,
     to_yaml,
 )
@@ -42,10 +42,10 @@ def write(folder: Path, text: str, name: str = "mine.yaml") -> Path:
 def test_presets_are_the_documented_ones() -> None:
     """Every preset of the documentation exists, and no other."""
     ours = {"thermosplat", "thermosplat_plus", "thermosplat_fast", "demo"}
-    assert set(list_presets()) == {*ours, *BASELINES, *ABLATIONS}
+    assert set(preset_paths()) == {*ours, *BASELINES, *ABLATIONS}
 
 
-@pytest.mark.parametrize("name", list_presets())
+@pytest.mark.parametrize("name", preset_paths())
 def test_preset_survives_yaml_and_dict(name: str, tmp_path: Path) -> None:
     """The resolved configuration of every preset reads back to an equal one."""
     config = load_config(name)

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from repository_documents import NAMES, read, without_code_blocks
-from thermosplat.config.files import list_presets
+from thermosplat.config.files import preset_paths
 
 LONGEST_LINE = 120
 
@@ -34,14 +34,14 @@ def test_the_readme_names_the_presets() -> None:
     """The presets the README offers exist."""
     offered = re.findall(r"`(\w+)`\s+\(", read("README.md").split("The presets:")[1].split("ablations")[0])
     assert len(offered) == 5
-    assert set(offered) <= set(list_presets())
+    assert set(offered) <= set(preset_paths())
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_configurations_in_commands_exist(name: str) -> None:
     """What follows `--config` is a preset, a file or a placeholder in capitals."""
     for config in re.findall(r"--config ([\w./]+)", read(name)):
-        assert config in list_presets() or config.isupper() or "/" in config or "." in config, f"{name}: {config}"
+        assert config in preset_paths() or config.isupper() or "/" in config or "." in config, f"{name}: {config}"
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("benchmarks/records/")])

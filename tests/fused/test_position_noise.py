@@ -5,7 +5,7 @@ from typing import Literal
 import pytest
 import torch
 
-from thermosplat.fused.position_noise import StoredGaussians, add_noise_to_means
+from thermosplat.fused.position_noise import add_noise_to_means
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.rotation import rotate
 
@@ -43,17 +43,12 @@ def test_same_as_torch(
     normals = torch.randn(count, 3, generator=torch.Generator().manual_seed(1)).to(device)
     rate = torch.tensor(0.25, device=device)
     before = gaussians.means.detach().clone()
-    stored = StoredGaussians(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.log_scales,
-        gaussians.logit_opacities,
-        *gaussians.stored_second_opacity,
-    )
-    arguments = normals.to(dtype), 0.5, rate, GATE
-    add_noise_to_means(stored, *arguments, torch.ones((), device=device))
+    first = gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities
+    stored = *first, *gaussians.stored_second_opacity
+    how = {"normals": normals.to(dtype), "strength": 0.5, "rate": rate, "gate": GATE}
+    add_noise_to_means(*stored, **how, blocked=torch.ones((), device=device))
     assert torch.equal(gaussians.means, before)
-    add_noise_to_means(stored, *arguments, torch.zeros((), device=device))
+    add_noise_to_means(*stored, **how, blocked=torch.zeros((), device=device))
     with torch.no_grad():
         conjugates = exact.quats * torch.tensor([1.0, -1.0, -1.0, -1.0], device=device)
         within = rotate(exact.quats, exact.scales.square() * rotate(conjugates, normals.double()))

@@ -162,12 +162,12 @@ def test_moments_leave_the_device_by_halves(device: torch.device) -> None:
     parameter, optimizer = optimizer_of(torch.ones(COUNT, 8), device)
     optimizer.rows_on_device = 16
     use_rows(optimizer, torch.arange(COUNT), torch.ones(COUNT, 8))
-    assert optimizer._near is not None
-    assert len(optimizer._near) == 16
+    assert optimizer.near is not None
+    assert len(optimizer.near) == 16
     left = []
     while optimizer.leave_more_room():
         left.append(optimizer.rows_on_device)
-        assert optimizer._near is None
+        assert optimizer.near is None
     assert left == [8, 4, 2, 0]
     assert (optimizer.state[parameter]["exp_avg"] != 0).all()
 

@@ -1,8 +1,6 @@
 """Videos and numbered PNGs, read back by OpenCV."""
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 
 from thermosplat.pictures import video
-from thermosplat.pictures.image_display import Image8
 from thermosplat.pictures.video import write_images
 from thermosplat.runs.atomic_writes import NotWrittenError
 
@@ -29,12 +26,12 @@ def frames_of(path: Path) -> list[np.ndarray]:
     return frames
 
 
-@pytest.mark.parametrize("encoder", ["_h264", "_mpeg4"])
-def test_video_has_every_image_in_order(encoder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("in_browsers", [True, False])
+def test_video_has_every_image_in_order(in_browsers: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each encoder writes all images, in RGB order, and drops a last odd row and column."""
-    if encoder == "_h264":
+    if in_browsers:
         pytest.importorskip("imageio_ffmpeg", reason='imageio-ffmpeg is not installed (pip install ".[video]")')
-    monkeypatch.setattr(video, "_encoder", getattr(video, encoder))
+    monkeypatch.setattr(video, "browsers_play_videos", lambda: in_browsers)
     path = write_images(iter(plain_images(49, 65)), tmp_path / "videos" / "path", format="mp4", fps=5)
     assert path == tmp_path / "videos" / "path.mp4"
     frames = frames_of(path)
@@ -79,10 +76,16 @@ def test_pngs_of_frames_have_their_names(tmp_path: Path) -> None:
 def test_no_encoder_means_pngs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no video can be encoded, all images still come out, as PNGs."""
 
-    def broken(*_: object) -> None:
-        raise video.NoEncoderError
+    class Closed:
+        fourcc = staticmethod(cv2.VideoWriter.fourcc)
 
-    monkeypatch.setattr(video, "_encoder", broken)
+        def __init__(self, *_: object) -> None: ...
+
+        def isOpened(self) -> bool:
+            return False
+
+    monkeypatch.setattr(video, "browsers_play_videos", lambda: False)
+    monkeypatch.setattr(cv2, "VideoWriter", Closed)
     folder = write_images(iter(plain_images()), tmp_path / "path", format="mp4", fps=5)
     assert len(list(folder.iterdir())) == 4
 
@@ -111,13 +114,21 @@ def test_failing_render_leaves_no_half_video(tmp_path: Path) -> None:
 def test_video_without_room_replaces_nothing(share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An encoder leaves the rest out where the disk is full and does not say so: the earlier video stays."""
 
-    @contextmanager
-    def silent(path: Path, width: int, height: int, fps: int) -> Iterator[Callable[[Image8], object]]:
-        with video._mpeg4(path, width, height, fps) as append:
-            yield append
-        os.truncate(path, int(share * path.stat().st_size))
+    genuine = cv2.VideoWriter
 
-    monkeypatch.setattr(video, "_encoder", silent)
+    class Silent:
+        fourcc = staticmethod(genuine.fourcc)
+
+        def __init__(self, path: str, *how: object) -> None:
+            self.path, self.writer = Path(path), genuine(path, *how)
+            self.isOpened, self.write = self.writer.isOpened, self.writer.write
+
+        def release(self) -> None:
+            self.writer.release()
+            os.truncate(self.path, int(share * self.path.stat().st_size))
+
+    monkeypatch.setattr(video, "browsers_play_videos", lambda: False)
+    monkeypatch.setattr(cv2, "VideoWriter", Silent)
     (tmp_path / "path.mp4").write_bytes(b"earlier")
     with pytest.raises(NotWrittenError, match=r"Could not write .*path\.mp4"):
         write_images(plain_images(), tmp_path / "path", format="mp4", fps=5)

@@ -62,7 +62,7 @@ def test_what_all_poses_have_in_common_moves_nothing(capture: Capture) -> None:
 def test_the_rig_moves_every_camera_but_the_first(capture: Capture) -> None:
     """One rigid motion in the axes of the thermal camera, the same in all frames."""
     corrections = corrections_of(capture, "rig")
-    assert not corrections._camera_basis[0].any()
+    assert not corrections.camera_basis[0].any()
     set_camera(corrections, 1, torch.cat([MOTION, torch.zeros(3)]))
     for index in (0, 3):
         frame = tensors_of(capture, index)

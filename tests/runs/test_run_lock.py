@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from thermosplat.errors import UserError
-from thermosplat.runs import run_lock as run_lock_module
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.runs.run_lock import LOCK_FILE, run_lock
 
@@ -99,15 +98,15 @@ def test_nested_blocks_of_one_process(tmp_path: Path) -> None:
 
 def test_file_that_was_deleted_meanwhile_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between opening the file and locking it, its owner may have ended: a lock on a deleted file keeps nobody out."""
-    genuine, deleted = run_lock_module._lock, []
+    genuine, deleted = fcntl.flock, []
 
-    def lock(file: int) -> bool | None:
+    def lock(file: int, operation: int) -> None:
         if not deleted:
             deleted.append(True)
             (tmp_path / LOCK_FILE).unlink()
-        return genuine(file)
+        genuine(file, operation)
 
-    monkeypatch.setattr(run_lock_module, "_lock", lock)
+    monkeypatch.setattr(fcntl, "flock", lock)
     with run_lock(tmp_path):
         assert (tmp_path / LOCK_FILE).read_text() == f"{os.getpid()} {socket.gethostname()}\n"
 

@@ -44,7 +44,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> Recorded:
 
     def capture(steps: RecordedSteps, frames: tuple[FrameTensors, ...], work: Work) -> Any:
         recorded.done.append("captured")
-        static = steps._frames.setdefault(work.shapes, tuple(map(recorded_steps.packed_elsewhere, frames)))
+        static = steps.frames.setdefault(work.shapes, tuple(map(recorded_steps.packed_elsewhere, frames)))
         return recorded_steps.Captured(recorded, static, None)  # type: ignore[arg-type]
 
     monkeypatch.setattr(torch.cuda, "MemPool", lambda: recorded)
@@ -66,9 +66,9 @@ def test_each_size_is_seen_line_by_line_and_then_captured(recorded: Recorded) ->
         factor = (1.5, 1.2, 1.0)[place // 7]
         frame = sized.at(place, lambda later: later % 4, 21, factor)
         steps.run((frame,), PLAN, kind_at(factor))
-        kept.append((len(steps.graphs), len(steps._frames)))
+        kept.append((len(steps.graphs), len(steps.frames)))
         if recorded.done[-1] == "replayed":
-            ((static,),) = steps._frames.values()
+            ((static,),) = steps.frames.values()
             assert static.views["rgb"].width == frame.views["rgb"].width
             assert torch.equal(static.views["rgb"].image, frame.views["rgb"].image)
     size = ["line by line"] * 4 + ["captured", "replayed", "replayed", "replayed"]

@@ -151,7 +151,7 @@ def test_images_that_grow_are_captured_anew(tmp_path: Path) -> None:
             if trainer.steps.recordings is not None and recordings(trainer).graphs:
                 seen += [
                     (len(recordings(trainer).graphs), held.views["rgb"].width)
-                    for (held,) in recordings(trainer)._frames.values()
+                    for (held,) in recordings(trainer).frames.values()
                 ]
         return trainer, seen
 

@@ -33,7 +33,7 @@ def test_a_decision_is_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         trainer.train_step()
     assert len(trainer.state.gaussian_sets["shared"]) > 60
     optimizers = trainer.state.row_optimizers("shared")
-    assert [len(optimizer._near) for optimizer in optimizers if optimizer._near is not None] == [40, 40]
+    assert [len(optimizer.near) for optimizer in optimizers if optimizer.near is not None] == [40, 40]
 
 
 def fail(trainer: Trainer, times: int, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:

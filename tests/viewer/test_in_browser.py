@@ -255,7 +255,7 @@ def test_a_closed_tab_frees_its_memory(browser: Any, viewer: Viewer) -> None:
     visitor = tab.visitor
     assert visitor.session.shown is not None
     thread = visitor._thread
-    kept = [weakref.ref(thing) for thing in (visitor, visitor.session, visitor.session.shown, *visitor._panels)]
+    kept = [weakref.ref(thing) for thing in (visitor, visitor.session, visitor.session.shown, *visitor.panels)]
     pixels = weakref.ref(visitor.session.shown.picture)
     page = tab.page
     del visitor, tab
@@ -384,7 +384,7 @@ def test_the_ends_of_the_range_are_those_of_the_picture(browser: Any, viewer: Vi
     assert shown is not None
     depths = shown.layers[shown.wish.first].field
     low, high = np.nanpercentile(depths, (1, 99))
-    panel = next(panel for panel in tab.visitor._panels if isinstance(panel, ViewPanel))
+    panel = next(panel for panel in tab.visitor.panels if isinstance(panel, ViewPanel))
     assert panel.low.value == pytest.approx(low, abs=0.02)
     assert panel.high.value == pytest.approx(high, abs=0.02)
     written = tab.page.locator("input:visible").evaluate_all("inputs => inputs.map(input => input.value)")

@@ -186,15 +186,15 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda b: b"PK" + b, "not a PLY"),
+        (lambda b: b"PK" + b, "is no PLY file"),
         (lambda b: b[:-7], "cut off"),
         (lambda b: b.replace(b"element vertex ", b"element vertex 99999999999"), "cut off"),
-        (lambda b: b.replace(b"opacity", b"0pacity"), "lacks the property opacity"),
-        (lambda b: b.replace(b"property float nx", b"property float ny", 1), "twice"),
+        (lambda b: b.replace(b"opacity", b"0pacity"), "lack opacity"),
+        (lambda b: b.replace(b"property float nx", b"property float ny", 1), "no PLY header"),
         (lambda b: b.replace(b"f_rest_44", b"f_rest_99"), "SH coefficients"),
-        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "not a binary PLY"),
-        (lambda b: b.replace(b"property float x", b"property list uchar int x", 1), "lists or unknown types"),
-        (lambda b: b.replace(b"end_header", b"x" * 70_000 + b"\nend_header"), "not a PLY"),
+        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "it is a text"),
+        (lambda b: b.replace(b"property float x", b"property list uchar int x", 1), "which is not known"),
+        (lambda b: b.replace(b"end_header", b"x" * 70_000 + b"\nend_header"), "no end"),
     ],
 )
 def test_what_is_no_splat_file_is_told(damage, said: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -99,7 +99,7 @@ def test_who_asked_first_is_next() -> None:
 
     def first() -> None:
         begun.set()
-        while len(turns._asking) < 2:
+        while len(turns.waiting) < 2:
             time.sleep(0.001)
         order.append("picture")
 
@@ -131,7 +131,7 @@ def test_who_waits_is_told_of_the_end() -> None:
 
     def work() -> str:
         threading.Thread(target=wait).start()
-        while len(turns._asking) < 2:
+        while len(turns.waiting) < 2:
             time.sleep(0.001)
         turns.end()
         while not told:

@@ -65,9 +65,6 @@ def bin_tiles(
         rest: as ``features``, channels that lie apart from them; None: there are no others.
         room: None for as many pairs as there are.
 
-    Returns:
-        The bins.
-
     Raises:
         TooManyPairsError: for more pairs, or room for more, than ``PAIRS_MAX``, or more tiles than ``TILES_MAX``.
         ValueError: if the tile size is no power of two.
@@ -140,9 +137,6 @@ def sort_gaussians(
         tile_size: see there.
         rest: see there.
         room: see there.
-
-    Returns:
-        The Gaussians.
 
     Raises:
         TooManyPairsError: as ``bin_tiles``.
@@ -224,9 +218,6 @@ def list_pairs(
         nearest_first: from ``sort_gaussians``.
         by_slot: see there.
         room: see there.
-
-    Returns:
-        The bins.
     """
     grid = nearest_first.grid
     device, settings = opacities.device, grid.settings

@@ -36,11 +36,7 @@ class AlphaFunctions(NamedTuple):
 
 @made_once
 def alpha_functions(dtype: type) -> AlphaFunctions:
-    """The response of a Gaussian at a pixel; the forward pass and the adjoint share it.
-
-    Returns:
-        The functions.
-    """
+    """The response of a Gaussian at a pixel; the forward pass and the adjoint share it."""
     vec2, vec3, vec4 = (wp.types.vector(count, dtype) for count in (2, 3, 4))
     _, unpack, _ = packed_root_functions(dtype)
     zero = dtype(0.0)

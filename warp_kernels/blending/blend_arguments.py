@@ -85,11 +85,7 @@ class BlockFunctions(NamedTuple):
 
 @made_once
 def block_functions(dtype: type, layout: BlendLayout) -> BlockFunctions:
-    """Which pixels a warp and its lanes have.
-
-    Args:
-        layout: deal of pixels to lanes.
-    """
+    """Which pixels a warp and its lanes have."""
     lanes, columns, blocks_x, tile_size = layout.lanes, layout.columns, layout.blocks_x, layout.tile_size
     block_width, block_height = layout.block_width, layout.block_height
     half, vecQ = dtype(0.5), wp.types.vector(columns, dtype)

@@ -123,15 +123,9 @@ def default_layout(
     """The layout measured best for a device and a frame; see benchmarks/notes/blending.md.
 
     Args:
-        device: Warp device the kernels run on.
         tile_size: edge of a tile [px].
-        channels: channels blended with the first opacity.
         thermal_channels: channels blended with the second, or 0.
         num_pairs: (Gaussian, tile) pairs of the frame.
-        num_tiles: tiles of the frame.
-
-    Returns:
-        The layout.
     """
     if not device.is_cuda:
         return _layout(tile_size, tile_size, tile_size, 1)

@@ -161,7 +161,6 @@ class BlendVariant:
         """Name of one of the kernels.
 
         Args:
-            kernel: what it does.
             of_arrays: it depends on how features lie in arrays.
         """
         apart = f"_{self.first_channels}" if of_arrays and self.first_channels < self.channels else ""
@@ -172,17 +171,10 @@ class BlendVariant:
 def blend_variant(
     channels: int, thermal_channels: int, dtype: type, layout: BlendLayout, first_channels: int | None = None
 ) -> BlendVariant:
-    """A variant, the same object for the same arguments.
+    """A variant, the same object for the same arguments. The other arguments are those of ``BlendVariant``.
 
     Args:
-        channels: as in ``BlendVariant``.
-        thermal_channels: as in ``BlendVariant``.
-        dtype: as in ``BlendVariant``.
-        layout: as in ``BlendVariant``.
         first_channels: as in ``BlendVariant``; None: all.
-
-    Returns:
-        The variant.
     """
     first = channels if first_channels is None else first_channels
     return BlendVariant(channels, thermal_channels, dtype, layout, first)

@@ -43,14 +43,7 @@ def layer_function(dtype: type):
 
 @made_once
 def blend_kernel(variant: BlendVariant) -> wp.Kernel:
-    """The forward kernel, one block of threads a list or a segment of a long one.
-
-    Args:
-        variant: channels, opacities, precision and deal of pixels.
-
-    Returns:
-        The Warp kernel.
-    """
+    """The forward kernel, one block of threads a list or a segment of a long one."""
     dtype, layout, kinds, dual = variant.dtype, variant.layout, variant.types, variant.dual
     C, D, first_thermal = variant.channels, max(variant.thermal_channels, 1), variant.first_thermal
     first_behind, first_behind_t = variant.first_behind, variant.first_behind_thermal

@@ -30,12 +30,8 @@ def blend_adjoint_kernel(variant: BlendVariant, absgrad: bool, by_slot: bool) ->
     """The adjoint kernel, one block of threads a list or a segment of a long one.
 
     Args:
-        variant: channels, opacities, precision and deal of pixels.
         absgrad: also sum the absolute values of each pixel's mean2d gradient.
         by_slot: store one record per pair and warp instead of adding atomically per Gaussian; on the CPU always.
-
-    Returns:
-        The Warp kernel.
     """
     dtype, layout, dual, cuda = variant.dtype, variant.layout, variant.dual, variant.cuda
     C, D, A = variant.channels, max(variant.thermal_channels, 1), variant.first_channels

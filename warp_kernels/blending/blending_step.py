@@ -162,22 +162,14 @@ def blend_adjoint(
     store: bool = False,
     launcher: BlendLauncher | None = None,
 ) -> None:
-    """The adjoint of ``blend``: from the images' gradients to the inputs'.
+    """The adjoint of ``blend``: from the images' gradients to the inputs'. The other arguments are those of ``blend``.
 
     Args:
-        projected: as in ``blend``.
-        opacities: as in ``blend``.
-        thermal_opacities: as in ``blend``.
-        features: as in ``blend``.
-        bins: as in ``blend``.
-        settings: as in ``blend``.
         blended: what ``blend`` wrote.
         walk: what ``blend`` returned.
-        rest: as in ``blend``.
         v_images: gradients of the render's first A channels and of the others, each an image or, for zeros, None;
             None: the render's own gradient.
         v_alphas: the transmittances' gradients are those to 1 - T.
-        absolute: as in ``blend``.
         store: without ``bins.slots``, gradients of means2d, roots, opacities and few features (``features_apart``) are
             not initialised, and written; else they are added to, as those of many features are. Where there are no
             records (``sums_apart``), gradients of means2d, roots and opacities are zeros at first.

@@ -27,11 +27,7 @@ def features_apart(channels: int, by_pair: bool) -> bool:
     """Whether features' gradients are summed where they lie, and records have none.
 
     Args:
-        channels: of the features of one array.
         by_pair: records are stored one a pair and warp.
-
-    Returns:
-        Whether they are.
     """
     return not by_pair and channels > FEW
 
@@ -55,15 +51,10 @@ def kept_channels(channels: int, first_channels: int, by_pair: bool) -> tuple[in
 
 def sums_apart(channels: int, first_channels: int, by_pair: bool, absgrad: bool) -> bool:
     """Whether there are no records: all sums are added where gradients lie.
+    The other arguments are those of ``kept_channels``.
 
     Args:
-        channels: as in ``kept_channels``.
-        first_channels: as in ``kept_channels``.
-        by_pair: as in ``kept_channels``.
         absgrad: sums of absolute mean2d gradients are wanted; they stay in records.
-
-    Returns:
-        Whether that is so.
     """
     many = channels >= WIDE and sum(kept_channels(channels, first_channels, by_pair)) == 0
     return many and not by_pair and not absgrad
@@ -73,12 +64,10 @@ def ranges_apart(
     channels: int, first_channels: int, thermal_channels: int, by_pair: bool, absgrad: bool = False
 ) -> list[tuple[str, int, int]] | None:
     """Components of a Gaussian's sums that are not in its record, for ``accumulate_snippet``.
+    The other arguments are those of ``kept_channels``.
 
     Args:
-        channels: as in ``kept_channels``.
-        first_channels: as in ``kept_channels``.
         thermal_channels: channels blended a second time; 0 for one opacity.
-        by_pair: as in ``kept_channels``.
         absgrad: as in ``sums_apart``.
 
     Returns:
@@ -103,9 +92,6 @@ def feature_offset(thermal_channels: int) -> int:
 
     Args:
         thermal_channels: channels blended a second time; 0 for one opacity.
-
-    Returns:
-        The index.
     """
     return 7 if thermal_channels else 6
 
@@ -117,9 +103,6 @@ def record_length(channels: int, thermal_channels: int, absgrad: bool) -> int:
         channels: C, channels blended with the first opacity; 0 where their gradients are elsewhere.
         thermal_channels: channels blended a second time; 0 for one opacity.
         absgrad: sums of absolute mean2d gradients are wanted.
-
-    Returns:
-        The length.
     """
     return feature_offset(thermal_channels) + channels + (2 if absgrad else 0)
 

@@ -92,14 +92,7 @@ def part_of_block(block: int, pairs: SortedPairs):
 
 @made_once
 def join_segments_kernel(variant: BlendVariant) -> wp.Kernel:
-    """Joins the segments of cut lists, one thread a number of a pixel: the states, and the whole render.
-
-    Args:
-        variant: channels, opacities, precision and deal of pixels.
-
-    Returns:
-        The Warp kernel.
-    """
+    """Joins the segments of cut lists, one thread a number of a pixel: the states, and the whole render."""
     dtype, layout, kinds = variant.dtype, variant.layout, variant.types
     vec_chunk = wp.types.vector(CHUNK, dtype)
     first_behind, length = variant.first_behind, variant.state_length

@@ -23,9 +23,6 @@ def pair_bits(num_pairs: int) -> int:
 
     Args:
         num_pairs: of the frame, or those there is room for.
-
-    Returns:
-        The bits.
     """
     return min(max(num_pairs.bit_length(), FEWEST_BITS), MOST_BITS)
 

@@ -95,11 +95,7 @@ def ray_functions(dtype: type):
 
 @made_once
 def ray_blend_kernel(variant: RayVariant) -> wp.Kernel:
-    """The forward kernel, one thread per pixel.
-
-    Returns:
-        The Warp kernel.
-    """
+    """The forward kernel, one thread per pixel."""
     dtype, channels = variant.dtype, variant.channels
     vec3, mat33, vecC = ray_types(variant)
     pixel, response = ray_functions(dtype)

@@ -17,14 +17,7 @@ from warp_kernels.machinery.loading import made_once
 
 @made_once
 def segment_light_kernel(variant: BlendVariant) -> wp.Kernel:
-    """The kernel, one block of threads a list or a segment of a long one; whole lists and last segments need no light.
-
-    Args:
-        variant: channels, opacities, precision and deal of pixels.
-
-    Returns:
-        The Warp kernel.
-    """
+    """The kernel, one block of threads a list or a segment of a long one; whole lists and last segments need none."""
     dtype, layout, kinds, dual = variant.dtype, variant.layout, variant.types, variant.dual
     lanes, rows, columns, threads, pixels = layout.lanes, layout.rows, layout.columns, layout.threads, variant.pixels
     row_mask = rows - 1  # as in blending

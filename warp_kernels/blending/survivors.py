@@ -40,7 +40,6 @@ def stages_features(channels: int, dtype: type, layout: BlendLayout) -> bool:
 
     Args:
         channels: C.
-        layout: deal of pixels to lanes.
 
     Returns:
         True if records hold features.
@@ -82,7 +81,6 @@ def queue_functions(layout: BlendLayout, backwards: bool) -> tuple[Any, Any]:
     """From the masks of a list to the places of the pairs that reach a warp's block, in the list's order or against it.
 
     Args:
-        layout: deal of pixels to lanes.
         backwards: from the back of the list to its front.
 
     Returns:
@@ -185,11 +183,7 @@ def walk_functions(
         first_channels: of these, those that lie in an array of their own; C: all lie in one.
         staged: records hold them.
         dual: there are two opacities.
-        layout: deal of pixels to lanes.
         backwards: from the back of the list to its front.
-
-    Returns:
-        The functions.
     """
     cuda, step, batch, rows = layout.lanes > 1, -1 if backwards else 1, BATCH, layout.rows
     opened, refilled = queue_functions(layout, backwards)

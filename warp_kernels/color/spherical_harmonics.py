@@ -68,7 +68,6 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
 
     Args:
         many: a warp lists the visible ones of many before it works on them, on CUDA only; else a thread has one.
-        variant: what is summed, and how.
 
     Returns:
         The Warp kernel, with ``many`` launched over ``warp_lists.threads_of_many`` in blocks of ``SMALL_BLOCK``.
@@ -150,9 +149,6 @@ def color_kernel(dtype: type, many: bool, variant: ColorVariant) -> wp.Kernel:
 @made_once
 def color_adjoint_kernel(dtype: type, variant: ColorVariant) -> wp.Kernel:
     """Adjoint kernel: one thread per Gaussian of a scene walks its cameras, so that nothing is atomic.
-
-    Args:
-        variant: what is summed, and how.
 
     Returns:
         The Warp kernel. It adds to coefficients and means, or with ``store`` writes them, and where there is room for

@@ -35,11 +35,7 @@ _sums = fragments(NARROW).sums
 
 
 def padded_inputs(channels: int) -> int | None:
-    """The fewest of INPUTS that have room for features and the 1 behind them; None: there are no kernels.
-
-    Args:
-        channels: of the features.
-    """
+    """The fewest of INPUTS that have room for features and the 1 behind them; None: there are no kernels."""
     return next((inputs for inputs in INPUTS if channels < inputs), None)
 
 
@@ -72,7 +68,6 @@ def layout_of(hidden: int, modulated: bool, inputs: int, team: int = 1) -> Layou
     """Shared memory of a block.
 
     Args:
-        hidden: channels of hidden layers.
         modulated: whether there is a modulation.
         inputs: columns of features, of INPUTS.
         team: warps that share 16 pixels, of TEAMS. What the forward pass uses is the same for all.

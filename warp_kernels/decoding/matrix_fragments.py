@@ -66,11 +66,7 @@ SIGMOID = """
 
 
 def row_bytes(columns: int) -> int:
-    """Bytes from one row of float16 in shared memory to the next.
-
-    Args:
-        columns: of the matrix.
-    """
+    """Bytes from one row of float16 in shared memory to the next."""
     return 2 * columns + PADDING
 
 
@@ -182,7 +178,6 @@ def _products(operand: str, steps: int, tiles: int, load: str, step_bytes: int, 
         operand: packed.
         steps: 16 of its columns each. Where they are even a load brings two of them, otherwise two tiles.
         tiles: 8 columns of ``y`` each.
-        load: the function that loads.
         step_bytes: from one step to the next in shared memory.
         tile_bytes: from one tile to the next there.
     """

@@ -175,9 +175,6 @@ def image_loss_kernels(dtype: type, sigma: float, c1: float, c2: float, epsilon:
 
     Args:
         sigma: standard deviation of the window [px].
-        c1: SSIM's first constant.
-        c2: SSIM's second constant.
-        epsilon: added to SSIM's denominator.
 
     Returns:
         ``(tiles, totals)``. Images x0 to x3 are compared with y0 to y3. The first has a block of threads a tile of a

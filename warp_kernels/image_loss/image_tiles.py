@@ -121,7 +121,6 @@ def blur_rows(dtype: type, planes: int, values: str, borders: str = "") -> str:
     """Source that blurs what is held along rows.
 
     Args:
-        planes: images that are blurred.
         values: these at index ``at`` of what is held, in braces.
         borders: adds to the sums ``t``; see ``mirrored``.
     """
@@ -143,7 +142,6 @@ def blur_columns(dtype: type, planes: int, statement: str, borders: str = "") ->
     """Source that blurs along columns what is blurred along rows.
 
     Args:
-        planes: images that are blurred.
         statement: uses the sums ``t[...][r]`` of row ``gy`` and column ``gx`` of the image.
         borders: adds to the sums ``t``; see ``mirrored``.
     """
@@ -188,9 +186,7 @@ def mirrored(planes: int, start: str, size: str, values: str, place: str) -> str
     Of place i those are -i and 2 (size - 1) - i, of whose windows only the taps towards the image meet it.
 
     Args:
-        planes: images that are blurred.
         start: the image's row or column in which the strip begins.
-        size: rows or columns of the image.
         values: the images at index ``at`` of their buffer, in braces.
         place: ``at`` for the image's row or column ``j``.
     """

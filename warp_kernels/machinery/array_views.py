@@ -83,12 +83,7 @@ class ArrayView:
         return self._layout.strides
 
     def gradient_at(self, ptr: int, owner: Any = None) -> None:
-        """Gives the array a gradient of its own shape and type, whose elements follow one another.
-
-        Args:
-            ptr: address.
-            owner: as in the constructor.
-        """
+        """Gives the array a gradient of its own shape and type, whose elements follow one another."""
         self.grad = ArrayView(ptr, self.shape, self.dtype, self.device, owner)
 
     def __len__(self) -> int:
@@ -137,11 +132,7 @@ class ArrayView:
 
 
 def contiguous_strides(shape: tuple[int, ...], dtype: Any) -> tuple[int, ...]:
-    """Strides of elements that follow one another.
-
-    Returns:
-        The strides [bytes].
-    """
+    """Strides of elements that follow one another."""
     stride = wp.types.type_size_in_bytes(dtype)
     strides = []
     for extent in reversed(shape):
@@ -154,9 +145,6 @@ def nothing(dtype: Any, ndim: int, device: wp.Device) -> ArrayView:
     """An array without elements, for one that there is not; always the same, so not to be given a gradient.
 
     Kernels take None for it; this is for code that asks an array for its shape or its gradient.
-
-    Returns:
-        The array.
     """
     return _nothing(dtype, ndim, device.alias)
 
@@ -198,26 +186,10 @@ memory = _Memory()
 
 
 def empty(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
-    """A new array, not initialised: a ``wp.array``, or a view of memory of whoever set ``memory.source``.
-
-    Args:
-        shape: extents.
-        dtype: Warp type of an element.
-
-    Returns:
-        The array.
-    """
+    """A new array, not initialised: a ``wp.array``, or a view of memory of whoever set ``memory.source``."""
     return memory.source.empty(shape, dtype, device)
 
 
 def zeros(shape: int | tuple[int, ...], dtype: Any, device: wp.Device) -> Any:
-    """As ``empty``, filled with zeros.
-
-    Args:
-        shape: extents.
-        dtype: Warp type of an element.
-
-    Returns:
-        The array.
-    """
+    """As ``empty``, filled with zeros."""
     return memory.source.zeros(shape, dtype, device)

@@ -11,11 +11,7 @@ from warp_kernels.machinery.loading import made_once
 
 @made_once
 def total_function(dtype: type):
-    """A sum over all lanes of a warp, which all call it together; always in the same order.
-
-    Returns:
-        A Warp function of one number.
-    """
+    """A sum over all lanes of a warp, which all call it together; always in the same order."""
     halvings = "for (int distance = 16; distance > 0; distance /= 2) x += __shfl_xor_sync(0xffffffffu, x, distance);"
 
     @wp.func_native(on_cuda(halvings) + "return x;")
@@ -27,9 +23,6 @@ def total_function(dtype: type):
 @made_once
 def lane_sum_function(length: int):
     """A sum of float64 vectors over all lanes of a warp, which all call it together; always in the same order.
-
-    Args:
-        length: of the vectors.
 
     Returns:
         A Warp function (sums, row, lane, vector) that stores the sum in ``sums[row]``; on the CPU, the vector itself.
@@ -51,7 +44,6 @@ def accumulate_snippet(length: int, dtype: type, *, apart: Sequence[tuple[str, i
     for up to 32. Other lengths are cut into powers of two. CUDA only: on the CPU a warp is one lane.
 
     Args:
-        length: Components of the vector.
         apart: None: one warp owns the place and stores all components there. Otherwise several warps meet: components
             are added atomically, those of these half-open ranges to ``array[index]`` of the array of that name, the
             others side by side to ``dst[index]``.
@@ -91,9 +83,6 @@ def butterfly_widths(count: int) -> tuple[int, ...]:
 
     Args:
         count: 0 to 32.
-
-    Returns:
-        The widths.
     """
     if count <= 0:
         return ()

@@ -216,18 +216,10 @@ def lane_functions(dtype: type):
 
 
 def whole_warps(count: int, device: wp.Device) -> int:
-    """Threads to launch for so many rows: on CUDA full warps, whose last lanes pass row -1.
-
-    Args:
-        count: Rows.
-    """
+    """Threads to launch for so many rows: on CUDA full warps, whose last lanes pass row -1."""
     return num_warps(count, device) * LANES_CUDA if device.is_cuda else count
 
 
 def num_warps(count: int, device: wp.Device) -> int:
-    """Warps that have so many rows.
-
-    Args:
-        count: Rows.
-    """
+    """Warps that have so many rows."""
     return -(-count // lanes_of(device))

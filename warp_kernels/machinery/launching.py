@@ -97,12 +97,7 @@ class RecordedLaunch:
         self._pointers = ctypes.byref(command.bounds), ctypes.byref(self._bytes)
 
     def launch(self, dim: Dim, inputs: list[Any]) -> None:
-        """Launches with other arguments and another number of threads.
-
-        Args:
-            dim: number of threads.
-            inputs: as in the constructor.
-        """
+        """Launches with other arguments and another number of threads."""
         if dim != self._dim:
             self._resize(dim)
         packed: list[Any] = []
@@ -179,8 +174,6 @@ def launch_again(kernel: wp.Kernel, dim: Dim, inputs: list[Any], device: wp.Devi
     """Launches a kernel without recording it on a tape, checking the arguments' types the first time only.
 
     Args:
-        kernel: not generic.
-        dim: number of threads.
         inputs: arrays, ints, floats and bools, of the same types at each call; outputs included. None in the place of
             an array: one without elements.
         block: threads a block; None for Warp's default.
@@ -200,8 +193,6 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device, 
 
     Args:
         kernel: its first argument is the first index of the range; ``inputs`` are the others, outputs included.
-        count: number of indices.
-        inputs: arguments after the first.
         block: threads a block on CUDA; None for Warp's default.
     """
     on_cpu = device.alias == "cpu"
@@ -216,9 +207,6 @@ def launch_tiles(kernel: wp.Kernel, num_tiles: int, threads: int, inputs: list[A
 
     Args:
         kernel: its first argument is the first tile of the range; ``inputs`` are the others, outputs included.
-        num_tiles: number of tiles.
-        threads: threads a tile.
-        inputs: arguments after the first.
     """
     if num_tiles == 0:
         return

@@ -68,11 +68,6 @@ def start() -> None:
 def first_use(kernel: wp.Kernel, device: wp.Device, block: int) -> Iterator[None]:
     """Around the first launch of a kernel by a thread: loads it if no thread has, while no other thread loads anything.
 
-    Args:
-        kernel: not generic.
-        device: where it is launched.
-        block: threads of a block on CUDA.
-
     Raises:
         KernelCacheError: if the folder for compiled kernels cannot be read or written.
     """
@@ -92,7 +87,6 @@ def must_compile(kernels: list[wp.Kernel], device: wp.Device) -> bool:
 
     Args:
         kernels: launched on the CPU, or on CUDA with the block of their module.
-        device: where they are launched.
     """
     with one_at_a_time, _cache_errors():
         stored = {StoredModule.of(kernel, device, kernel.module.options["block_dim"]) for kernel in kernels}

@@ -40,13 +40,7 @@ class StoredModule(NamedTuple):
 
     @classmethod
     def of(cls, kernel: wp.Kernel, device: wp.Device, block: int) -> "StoredModule":
-        """Where Warp keeps what it compiles of a kernel.
-
-        Args:
-            kernel: not generic.
-            device: where it is launched.
-            block: threads of a block on CUDA.
-        """
+        """Where Warp keeps what it compiles of a kernel."""
         module, block = kernel.module, 1 if device.is_cpu else block
         folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim=block)
         return cls(folder, (module._get_compile_output_name(device, block_dim=block), module._get_meta_name(block)))

@@ -22,10 +22,6 @@ def strand_sum_kernel(dtype: type, length: int) -> wp.Kernel:
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the records.
-        length: numbers in a record.
-
-    Returns:
-        The Warp kernel.
     """
     record = wp.types.vector(length, dtype)
     record64 = wp.types.vector(length, wp.float64)
@@ -59,7 +55,6 @@ def image_sums(records: wp.array, images: int) -> wp.array:
 
     Args:
         records: vec [images · records].
-        images: number of images.
 
     Returns:
         float64 vec [images].

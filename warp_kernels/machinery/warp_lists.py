@@ -34,7 +34,6 @@ def list_functions(warps: int, capacity: int) -> tuple[Any, Any, Any]:
     """A list for each warp of a block of threads.
 
     Args:
-        warps: of a block.
         capacity: items of a list at a time, a power of two; item ``capacity`` takes the place of item 0.
 
     Returns:

@@ -35,7 +35,6 @@ def affine_camera_adjoint_kernel(dtype: type, model: LensModel, rolling: bool, t
     """The adjoint kernel, one thread a Gaussian of a scene.
 
     Args:
-        model: of the lenses.
         rolling: Lines are read out at different times.
         to_cameras: Also write gradients to poses, intrinsics and lenses.
 

@@ -178,11 +178,7 @@ def affine_camera_kernel(dtype: type, model: LensModel, rolling: bool) -> wp.Ker
     """The forward kernel, one thread an (image, Gaussian) pair.
 
     Args:
-        model: of the lenses.
         rolling: Lines are read out at different times.
-
-    Returns:
-        The Warp kernel.
     """
     vec2, vec3, vec4, vec6 = (wp.types.vector(k, dtype) for k in (2, 3, 4, 6))
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)

@@ -55,9 +55,6 @@ def camera_finish_kernel(dtype: type) -> wp.Kernel:
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
-
-    Returns:
-        The Warp kernel.
     """
     record64 = wp.types.vector(CAMERA_RECORD, wp.float64)
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
@@ -94,9 +91,6 @@ def lens_finish_kernel(dtype: type, rolling: bool) -> wp.Kernel:
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
         rolling: The records begin with motions.
-
-    Returns:
-        The Warp kernel.
     """
     mat33, mat44 = wp.types.matrix((3, 3), dtype), wp.types.matrix((4, 4), dtype)
     coefficients_type, motion_type = wp.types.vector(LENS_COEFFS, dtype), wp.types.vector(MOTION, dtype)

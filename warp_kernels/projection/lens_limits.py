@@ -29,7 +29,6 @@ def lens_limit_kernel(dtype: type, model: LensModel) -> wp.Kernel:
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the coefficients.
-        model: of the lenses.
 
     Returns:
         The Warp kernel. It writes the largest r² of a pinhole lens, and the largest angle [rad] of the others.
@@ -103,7 +102,6 @@ def lens_limits(coefficients: wp.array, model: LensModel) -> wp.array:
 
     Args:
         coefficients: vec [images] of ``LENS_COEFFS`` numbers.
-        model: of the lenses.
 
     Returns:
         float64 [images].

@@ -72,11 +72,8 @@ def project_through_lenses(
     """Projects Gaussians as ``plain_camera_step.project_gaussians`` does, through lenses.
 
     Args:
-        gaussians: inputs, with quats and scales.
         lenses: of the images; also takes what the adjoint reads.
-        lens: what they have in common.
         settings: image size, planes and mode; its camera model is not used.
-        projected: outputs, one entry an (image, Gaussian) pair.
     """
     device, dtype, rolling = gaussians.means.device, gaussians.opacities.dtype, lens.shutter is not None
     lenses.limits = lens_limits(lenses.coefficients, lens.model)
@@ -107,14 +104,11 @@ def project_through_lenses_adjoint(
     store: bool = False,
     add_to_means: bool = False,
 ) -> None:
-    """The adjoint of ``project_through_lenses``; arguments as ``plain_camera_step.project_gaussians_adjoint``'s.
+    """The adjoint of ``project_through_lenses``, as ``project_gaussians_adjoint`` is that of ``project_gaussians``.
+    The other arguments are those of ``project_through_lenses``.
 
     Args:
-        gaussians: as in ``project_through_lenses``.
         lenses: as it left them, with ``slopes``.
-        lens: as in ``project_through_lenses``.
-        settings: likewise.
-        projected: what it wrote.
         store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
         add_to_means: also with ``store``, the means' gradient is added to.
     """

@@ -174,11 +174,9 @@ def make_motions_adjoint(
 
     Args:
         viewmats: as in ``make_motions``.
-        viewmats_rs: likewise.
         v_motions: gradient to the motions; None: zeros.
         v_half_way: gradient to the poses half way; None: zeros.
         v_viewmats: mat44 [images], is written.
-        v_viewmats_rs: likewise.
     """
     _, kernel = motion_kernels(viewmats.dtype._wp_scalar_type_)
     inputs = [viewmats, viewmats_rs, v_motions, v_half_way, v_viewmats, v_viewmats_rs]

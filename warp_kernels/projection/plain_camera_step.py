@@ -86,10 +86,9 @@ def project_gaussians_adjoint(
     add_to_means: bool = False,
 ) -> None:
     """The adjoint of ``project_gaussians``: from its outputs' gradients, those not given being zero, to its inputs'.
+    The other arguments are those of ``project_gaussians``.
 
     Args:
-        gaussians: as in ``project_gaussians``.
-        settings: as in ``project_gaussians``.
         projected: what ``project_gaussians`` wrote.
         store: gradients of Gaussians are not initialised, and written; else they are added to, as those of cameras are.
         add_to_means: also with ``store``, the means' gradient is added to.

@@ -8,11 +8,7 @@ from warp_kernels.machinery.loading import made_once
 
 @made_once
 def gather_rows_kernel(dtype: type) -> wp.Kernel:
-    """The kernel, one thread for each number that is copied.
-
-    Returns:
-        The kernel.
-    """
+    """The kernel, one thread for each number that is copied."""
 
     @wp.kernel(name=f"gather_rows_{dtype.__name__}", enable_backward=False, module="unique")
     def gather_kernel(

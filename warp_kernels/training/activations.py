@@ -8,8 +8,6 @@ the adjoint needs nothing but what was written.
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
-from warp_kernels.machinery.lanes import whole_warps
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
@@ -111,60 +109,3 @@ def activation_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
                 v_seconds[gaussian] = v_second
 
     return activate_kernel, activate_adjoint_kernel
-
-
-def activate(
-    log_scales: wp.array,
-    logits: wp.array,
-    seconds: wp.array,
-    is_offset: bool,
-    scales: wp.array,
-    opacities: wp.array,
-    thermal_opacities: wp.array,
-) -> None:
-    """Computes scales and opacities.
-
-    Args:
-        log_scales: vec3 [N], logarithms of the standard deviations [log world units].
-        logits: [N], of α.
-        seconds: [N], what α_t is computed from; [0]: there is none.
-        is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
-        scales: vec3 [N], output: standard deviations [world units].
-        opacities: [N], output: α in [0, 1].
-        thermal_opacities: [N], output: α_t in [0, 1]; as many as ``seconds``.
-    """
-    kernel, _ = activation_kernels(logits.dtype)
-    inputs = [log_scales, logits, seconds, is_offset, scales, opacities, thermal_opacities]
-    launch(kernel, whole_warps(len(logits), logits.device), inputs, logits.device)
-
-
-def activate_adjoint(
-    scales: wp.array,
-    opacities: wp.array,
-    thermal_opacities: wp.array,
-    v_scales: wp.array,
-    v_opacities: wp.array,
-    v_thermal_opacities: wp.array,
-    is_offset: bool,
-    v_log_scales: wp.array,
-    v_logits: wp.array,
-    v_seconds: wp.array,
-) -> None:
-    """The gradients, from what ``activate`` wrote. They are written, not added to.
-
-    Args:
-        scales: as in ``activate``.
-        opacities: as in ``activate``.
-        thermal_opacities: as in ``activate``.
-        v_scales: vec3 [N]; [0]: zeros.
-        v_opacities: [N]; [0]: zeros.
-        v_thermal_opacities: [N]; [0]: zeros.
-        is_offset: as in ``activate``.
-        v_log_scales: vec3 [N], output.
-        v_logits: [N], output.
-        v_seconds: [N], output; [0] where there are no seconds.
-    """
-    _, kernel = activation_kernels(opacities.dtype)
-    given = [v_scales, v_opacities, v_thermal_opacities]
-    inputs = [scales, opacities, thermal_opacities, *given, is_offset, v_log_scales, v_logits, v_seconds]
-    launch(kernel, whole_warps(len(opacities), opacities.device), inputs, opacities.device)

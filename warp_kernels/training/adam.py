@@ -5,21 +5,12 @@ here every four numbers are a thread. Formulas, defaults and order of operations
 ``torch.optim.Adam``; with decay Loshchilov & Hutter 2019, as ``torch.optim.AdamW``.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import warp as wp
 
-from warp_kernels.machinery.array_views import empty
-from warp_kernels.machinery.launching import launch_again
 from warp_kernels.machinery.tensor_tables import (
-    BLOCK,
     QUAD,
     Addresses,
     Counts,
-    addresses,
-    counts,
-    launches,
     load_quad,
     share_of,
     store_quad,
@@ -89,53 +80,3 @@ def adam_update_kernel(
     store_quad(exp_avgs[place], first, size, m)
     store_quad(exp_avg_sqs[place], first, size, v)
     store_quad(parameters[place], first, size, p)
-
-
-@dataclass(frozen=True)
-class AdamArrays:
-    """One parameter and what Adam keeps of it, float32 without gaps.
-
-    Attributes:
-        parameter: [n].
-        gradient: [n].
-        exp_avg: [n], first moment.
-        exp_avg_sq: [n], second moment.
-        step: [1], updates done.
-        rate: [1], learning rate.
-    """
-
-    parameter: wp.array
-    gradient: wp.array
-    exp_avg: wp.array
-    exp_avg_sq: wp.array
-    step: wp.array
-    rate: wp.array
-
-
-def adam_update(
-    parameters: Sequence[AdamArrays],
-    blocked: wp.array,
-    betas: tuple[float, float],
-    epsilon: float,
-    decay: float = 0.0,
-) -> None:
-    """Updates parameters in place, all in the same two launches up to PLACES of them.
-
-    Args:
-        parameters: none of them empty.
-        blocked: float32 [1]; not 0: leave everything as it is.
-        betas: decay of the moments.
-        epsilon: added to the denominator.
-        decay: of the parameters; each loses rate · decay of itself.
-    """
-    for of_launch, ends in launches([len(p.parameter) for p in parameters]):
-        some = parameters[of_launch]
-        device = some[0].parameter.device
-        coefficients = empty(len(some), wp.vec3, device)
-        steps, rates = addresses([p.step for p in some]), addresses([p.rate for p in some])
-        launch_again(adam_coefficients_kernel, len(some), [*betas, decay, rates, blocked, steps, coefficients], device)
-        sizes = counts([len(p.parameter) for p in some])
-        inputs = [counts(ends), sizes, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon, blocked, coefficients]
-        inputs += [addresses([p.gradient for p in some]), addresses([p.parameter for p in some])]
-        inputs += [addresses([p.exp_avg for p in some]), addresses([p.exp_avg_sq for p in some])]
-        launch_again(adam_update_kernel, ends[-1], inputs, device, BLOCK)

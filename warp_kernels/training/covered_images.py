@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
@@ -51,32 +50,3 @@ def covering_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         v_alphas[pixel] = total
 
     return cover_kernel, cover_adjoint_kernel
-
-
-def cover(decoded: wp.array, alphas: wp.array, base: wp.array, covered: wp.array) -> None:
-    """Computes base + α · decoded.
-
-    Args:
-        decoded: [pixels, C].
-        alphas: [pixels].
-        base: [pixels, C], any strides; [0, C]: zeros.
-        covered: [pixels, C], output.
-    """
-    kernel, _ = covering_kernels(decoded.dtype)
-    launch(kernel, decoded.shape[0], [decoded, alphas, base, covered], decoded.device)
-
-
-def cover_adjoint(
-    decoded: wp.array, alphas: wp.array, v_covered: wp.array, v_decoded: wp.array, v_alphas: wp.array
-) -> None:
-    """The gradients; that of the base is ``v_covered`` itself.
-
-    Args:
-        decoded: as in ``cover``.
-        alphas: as in ``cover``.
-        v_covered: [pixels, C].
-        v_decoded: [pixels, C], output.
-        v_alphas: [pixels], output.
-    """
-    _, kernel = covering_kernels(decoded.dtype)
-    launch(kernel, decoded.shape[0], [decoded, alphas, v_covered, v_decoded, v_alphas], decoded.device)

@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
@@ -12,9 +11,6 @@ def density_kernel(dtype: type) -> wp.Kernel:
 
     Args:
         dtype: ``wp.float32`` or ``wp.float64``, of the gradients.
-
-    Returns:
-        The Warp kernel.
     """
     vec2 = wp.types.vector(2, dtype)
 
@@ -48,27 +44,3 @@ def density_kernel(dtype: type) -> wp.Kernel:
             observations[gaussian] = observations[gaussian] + seen
 
     return note_density_kernel
-
-
-def note_density(
-    gradients: wp.array,
-    visible: wp.array,
-    half_size: tuple[float, float],
-    blocked: wp.array,
-    norm_sums: wp.array,
-    observations: wp.array,
-) -> None:
-    """Adds a step's gradients to the sums.
-
-    Args:
-        gradients: vec2 [cameras · N], of the means in the images [1 / px].
-        visible: bool [cameras · N]; where a Gaussian counts.
-        half_size: what the gradients' components are multiplied with [px].
-        blocked: float32 [1]; not 0: add nothing.
-        norm_sums: float32 [N], gets the gradients' norms.
-        observations: float32 [N], gets the number of cameras that see a Gaussian.
-    """
-    dtype = gradients.dtype._wp_scalar_type_
-    count = len(norm_sums)
-    arguments = [len(gradients) // max(count, 1), dtype(half_size[0]), dtype(half_size[1]), blocked]
-    launch(density_kernel(dtype), count, [*arguments, gradients, visible, norm_sums, observations], gradients.device)

@@ -7,8 +7,6 @@ become the pixel's spread.
 import warp as wp
 
 from warp_kernels.machinery.lane_sums import total_function
-from warp_kernels.machinery.lanes import lanes_of, whole_warps
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 NEAREST = 0.01
@@ -80,9 +78,6 @@ def moment_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
 def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Features and spreads of pixels.
 
-    Args:
-        channels: features of a pixel.
-
     Returns:
         ``(take_spreads, take_spreads_adjoint)``, one thread per pixel; the first is launched over ``whole_warps``.
     """
@@ -138,79 +133,3 @@ def spread_kernels(dtype: type, channels: int) -> tuple[wp.Kernel, wp.Kernel]:
         v_alphas[pixel] = second_moment * v
 
     return take_kernel, take_adjoint_kernel
-
-
-def join_moments(features: wp.array, means: wp.array, viewmat: wp.array, joined: wp.array) -> None:
-    """Computes features beside log z and its square.
-
-    Args:
-        features: [N, d].
-        means: vec3 [N] [world units].
-        viewmat: [4, 4], world to camera.
-        joined: [N, d + 2], output.
-    """
-    kernel, _ = moment_kernels(features.dtype, features.shape[1])
-    launch(kernel, features.shape[0], [features, means, viewmat, joined], features.device)
-
-
-def join_moments_adjoint(
-    means: wp.array, viewmat: wp.array, v_joined: wp.array, v_features: wp.array, v_means: wp.array
-) -> None:
-    """The gradients. They are written, not added to.
-
-    Args:
-        means: as in ``join_moments``.
-        viewmat: as in ``join_moments``.
-        v_joined: [N, d + 2].
-        v_features: [N, d], output.
-        v_means: vec3 [N], output.
-    """
-    _, kernel = moment_kernels(v_joined.dtype, v_features.shape[1])
-    launch(kernel, v_features.shape[0], [means, viewmat, v_joined, v_features, v_means], means.device)
-
-
-def take_spreads(joined: wp.array, alphas: wp.array, limit: float, features: wp.array, parts: wp.array) -> None:
-    """Takes blended features and moments apart, and sums each warp's part of the mean of v / (1 + v / limit).
-
-    Args:
-        joined: [pixels, d + 2].
-        alphas: [pixels].
-        limit: spread from which on more hardly counts; 0: no limit.
-        features: [pixels, d], output.
-        parts: [num_warps(pixels)], output; their sum is the mean.
-    """
-    count, device = joined.shape[0], joined.device
-    kernel, _ = spread_kernels(joined.dtype, features.shape[1])
-    inputs = [joined, alphas, *_factors(joined.dtype, limit, count), lanes_of(device), features, parts]
-    launch(kernel, whole_warps(count, device), inputs, device)
-
-
-def take_spreads_adjoint(
-    joined: wp.array,
-    alphas: wp.array,
-    limit: float,
-    v_features: wp.array,
-    v_spread: wp.array,
-    v_joined: wp.array,
-    v_alphas: wp.array,
-) -> None:
-    """The gradients. They are written, not added to.
-
-    Args:
-        joined: as in ``take_spreads``.
-        alphas: as in ``take_spreads``.
-        limit: as in ``take_spreads``.
-        v_features: [pixels, d].
-        v_spread: [1], of the mean.
-        v_joined: [pixels, d + 2], output.
-        v_alphas: [pixels], output.
-    """
-    count, device = joined.shape[0], joined.device
-    _, kernel = spread_kernels(joined.dtype, v_features.shape[1])
-    inputs = [joined, alphas, *_factors(joined.dtype, limit, count), v_features, v_spread, v_joined, v_alphas]
-    launch(kernel, count, inputs, device)
-
-
-def _factors(dtype: type, limit: float, count: int) -> tuple[float, float]:
-    """1 / limit, or 0 for none, and a pixel's share of a mean."""
-    return dtype(1.0 / limit if limit > 0 else 0.0), dtype(1.0 / max(count, 1))

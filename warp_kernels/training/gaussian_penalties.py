@@ -7,8 +7,6 @@ import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
 from warp_kernels.machinery.lane_sums import total_function
-from warp_kernels.machinery.lanes import lanes_of, whole_warps
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.training.activations import opacity_functions
 
@@ -88,62 +86,3 @@ def penalty_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
             v_logits[gaussian] = v_logit
 
     return means_kernel, adjoint_kernel
-
-
-def gaussian_means(
-    log_scales: wp.array,
-    logits: wp.array,
-    seconds: wp.array,
-    seen: wp.array,
-    share: wp.array,
-    is_offset: bool,
-    parts: wp.array,
-) -> None:
-    """Sums each warp's part of the means of α + α_t and of the scales.
-
-    Args:
-        log_scales: vec3 [N], logarithms of the standard deviations [log world units].
-        logits: [N], of α.
-        seconds: [N], what α_t is computed from; [0]: there is none.
-        seen: bool [N], those that the means are of.
-        share: [1], one by their number.
-        is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
-        parts: [2, num_warps(N)], output; their sums are the means of α + α_t, or α alone, and of the three standard
-            deviations [world units].
-    """
-    dtype, count, device = logits.dtype, len(logits), logits.device
-    kernel, _ = penalty_kernels(dtype)
-    inputs = [log_scales, logits, seconds, seen, share, is_offset, lanes_of(device), parts]
-    launch(kernel, whole_warps(count, device), inputs, device)
-
-
-def gaussian_means_adjoint(
-    log_scales: wp.array,
-    logits: wp.array,
-    seconds: wp.array,
-    seen: wp.array,
-    share: wp.array,
-    is_offset: bool,
-    v_means: wp.array,
-    v_log_scales: wp.array,
-    v_logits: wp.array,
-    v_seconds: wp.array,
-) -> None:
-    """The gradients. They are written, not added to.
-
-    Args:
-        log_scales: as in ``gaussian_means``.
-        logits: as in ``gaussian_means``.
-        seconds: as in ``gaussian_means``.
-        seen: as in ``gaussian_means``.
-        share: as in ``gaussian_means``.
-        is_offset: as in ``gaussian_means``.
-        v_means: [2].
-        v_log_scales: vec3 [N], output.
-        v_logits: [N], output.
-        v_seconds: [N], output; [0] where there are no seconds.
-    """
-    dtype, count, device = logits.dtype, len(logits), logits.device
-    _, kernel = penalty_kernels(dtype)
-    inputs = [log_scales, logits, seconds, seen, share, is_offset, v_means]
-    launch(kernel, whole_warps(count, device), [*inputs, v_log_scales, v_logits, v_seconds], device)

@@ -10,7 +10,6 @@ Tables of weights have four rows, for k from 0 to the radius R: w_k, Σ_{j≤k} 
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
@@ -83,44 +82,3 @@ def point_spread_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         v_sigmas[i] = v_blurred[i] * (slope - blurred[i] * total(table, 3, place, length)) / here
 
     return spread_kernel, spread_adjoint_kernel
-
-
-def spread(image: wp.array, table: wp.array, stride: int, length: int, blurred: wp.array) -> None:
-    """Blurs along an axis.
-
-    Args:
-        image: [H * W * C].
-        table: [4, R + 1], weights.
-        stride: numbers from one pixel to the next along the axis.
-        length: pixels along it.
-        blurred: [H * W * C], output.
-    """
-    kernel, _ = point_spread_kernels(image.dtype)
-    launch(kernel, image.shape[0], [image, table, stride, length, blurred], image.device)
-
-
-def spread_adjoint(
-    image: wp.array,
-    blurred: wp.array,
-    table: wp.array,
-    stride: int,
-    length: int,
-    v_blurred: wp.array,
-    v_image: wp.array,
-    v_sigmas: wp.array,
-) -> None:
-    """The gradients.
-
-    Args:
-        image: as in ``spread``.
-        blurred: what ``spread`` made of it.
-        table: as in ``spread``.
-        stride: as in ``spread``.
-        length: as in ``spread``.
-        v_blurred: [H * W * C].
-        v_image: [H * W * C], output.
-        v_sigmas: [H * W * C], output: the sum of all is the deviation's gradient.
-    """
-    _, kernel = point_spread_kernels(image.dtype)
-    given = [image, blurred, table, stride, length, v_blurred, v_image, v_sigmas]
-    launch(kernel, image.shape[0], given, image.device)

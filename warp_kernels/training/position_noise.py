@@ -3,8 +3,6 @@
 import warp as wp
 
 from warp_kernels.machinery.coalesced_stores import store_functions
-from warp_kernels.machinery.lanes import whole_warps
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 from warp_kernels.projection.rotation import rotation_functions
 from warp_kernels.training.activations import opacity_functions
@@ -12,11 +10,7 @@ from warp_kernels.training.activations import opacity_functions
 
 @made_once
 def noise_kernel(dtype: type) -> wp.Kernel:
-    """One thread a Gaussian, launched over ``whole_warps``.
-
-    Returns:
-        The Warp kernel.
-    """
+    """One thread a Gaussian, launched over ``whole_warps``."""
     vec3, vec4 = wp.types.vector(3, dtype), wp.types.vector(4, dtype)
     _, store3, _ = store_functions(dtype)
     sigmoid, _, thermal_opacity = opacity_functions(dtype)
@@ -61,37 +55,3 @@ def noise_kernel(dtype: type) -> wp.Kernel:
         store3(means, wp.where(inside, gaussian, -1), mean)
 
     return add_noise_kernel
-
-
-def add_position_noise(
-    quats: wp.array,
-    log_scales: wp.array,
-    logits: wp.array,
-    seconds: wp.array,
-    is_offset: bool,
-    normals: wp.array,
-    strength: float,
-    rate: wp.array,
-    gate: tuple[float, float],
-    blocked: wp.array,
-    means: wp.array,
-) -> None:
-    """Adds strength · rate · sigmoid(k (t - o)) Σ η to the means, o being the larger opacity.
-
-    Args:
-        quats: vec4 [N], wxyz, of any length.
-        log_scales: vec3 [N], logarithms of the standard deviations [log world units].
-        logits: [N], of α.
-        seconds: [N], what α_t is computed from; [0]: there is none.
-        is_offset: α_t = sigmoid(logit + second); else sigmoid(second).
-        normals: vec3 [N], η.
-        strength: a factor.
-        rate: float32 [1], another.
-        gate: k and t.
-        blocked: float32 [1]; not 0: add nothing.
-        means: vec3 [N], added to.
-    """
-    dtype = logits.dtype
-    inputs = [quats, log_scales, logits, seconds, is_offset, normals, dtype(strength), rate]
-    inputs += [dtype(gate[0]), dtype(gate[1]), blocked, means]
-    launch(noise_kernel(dtype), whole_warps(len(logits), logits.device), inputs, logits.device)

@@ -6,14 +6,7 @@ whole lines of 128 bytes. The values of the rows come beside their gradient, sin
 fetched them already.
 """
 
-from dataclasses import dataclass
-
 import warp as wp
-
-from warp_kernels.machinery.array_views import empty
-from warp_kernels.machinery.launching import launch_again
-from warp_kernels.machinery.tensor_tables import BLOCK, addresses
-from warp_kernels.training.adam import adam_coefficients_kernel
 
 THREADS = 2**30
 """Threads of a launch, at most: they have numbers of 32 bits."""
@@ -90,6 +83,7 @@ def row_adam_kernel(
 ):
     """Moments and parameter of two numbers; threads that follow each other share a row. Moments of the first R rows are
     those in ``near``. Behind ``used`` moments stay as they are, and so does the parameter, but for the padding."""
+    # moments are (m, v, m, v) of two numbers: near of the first R rows, far of the others; L is a multiple of 8
     if blocked[0] != 0.0:
         return
     number = first + wp.int64(wp.tid())
@@ -123,55 +117,3 @@ def row_adam_kernel(
     else:
         store_moments(far, row, pair, moments)
     store_numbers(parameter, row, 2 * pair, count, updated)
-
-
-@dataclass(frozen=True)
-class RowAdamArrays:
-    """Some rows of one parameter and what Adam keeps of it, float32 without gaps.
-
-    Attributes:
-        indices: int64 [n], the rows, each once.
-        values: [n, used], the first numbers of these rows as they are. The others have no gradient and no moments.
-        gradient: [n, used].
-        parameter: [N, K], K >= used; or with rows padded by numbers that mean nothing, [N, L].
-        near: vec4 [R, L / 2], both moments of two numbers (m, v, m, v) of the first R rows; L >= K is a multiple of 8.
-        far: vec4 [N, L / 2], the moments of the others; what it holds of the first R rows is not touched.
-        length: K.
-        step: [1], updates done.
-        rate: [1], learning rate.
-    """
-
-    indices: wp.array
-    values: wp.array
-    gradient: wp.array
-    parameter: wp.array
-    near: wp.array
-    far: wp.array
-    length: int
-    step: wp.array
-    rate: wp.array
-
-
-def row_adam_update(
-    rows: RowAdamArrays, blocked: wp.array, betas: tuple[float, float], epsilon: float, decay: float = 0.0
-) -> None:
-    """Updates rows in place, and counts the update, also one of no rows.
-
-    Args:
-        rows: of one parameter.
-        blocked: float32 [1]; not 0: leave everything as it is.
-        betas: decay of the moments.
-        epsilon: added to the denominator.
-        decay: of the parameter; a row loses rate · decay of itself.
-    """
-    device = rows.step.device
-    coefficients = empty(1, wp.vec3, device)
-    counted = [*betas, decay, addresses([rows.rate]), blocked, addresses([rows.step]), coefficients]
-    launch_again(adam_coefficients_kernel, 1, counted, device)
-    number, used = rows.values.shape
-    pairs = -(-used // (2 * LINE)) * LINE
-    scalars = [pairs, used, rows.length, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon]
-    arrays = [rows.indices, rows.values, rows.gradient, rows.near, rows.far, rows.parameter]
-    for first in range(0, number * pairs, THREADS):
-        threads = min(THREADS, number * pairs - first)
-        launch_again(row_adam_kernel, threads, [first, *scalars, blocked, coefficients, *arrays], device, BLOCK)

@@ -2,9 +2,6 @@
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch_again
-from warp_kernels.machinery.tensor_tables import BLOCK
-
 THREADS = 2**30
 """Threads of a launch, at most: they have numbers of 32 bits."""
 
@@ -44,18 +41,3 @@ def row_fetch_kernel(
     for k in range(wp.static(QUAD)):
         if column + k < values.shape[1]:
             values[place, column + k] = found[k]
-
-
-def fetch_rows(indices: wp.array, rows: wp.array, values: wp.array) -> None:
-    """Copies the first numbers of rows.
-
-    Args:
-        indices: int64 [n], which rows.
-        rows: float32 [N, L], L a multiple of QUAD.
-        values: float32 [n, used], written; used <= L.
-    """
-    number, used = values.shape
-    quads = -(-used // QUAD)
-    for first in range(0, number * quads, THREADS):
-        threads = min(THREADS, number * quads - first)
-        launch_again(row_fetch_kernel, threads, [first, quads, indices, rows, values], rows.device, BLOCK)

@@ -2,17 +2,12 @@
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
 @made_once
 def selective_adam_kernel(dtype: type) -> wp.Kernel:
-    """The kernel, one thread a number.
-
-    Returns:
-        The Warp kernel.
-    """
+    """The kernel, one thread a number."""
 
     @wp.kernel(name=f"selective_adam_{dtype.__name__}", enable_backward=False, module="unique")
     def update_visible_rows(
@@ -42,31 +37,3 @@ def selective_adam_kernel(dtype: type) -> wp.Kernel:
             parameters[number] = parameters[number] - rate * m / (wp.sqrt(v) + epsilon)
 
     return update_visible_rows
-
-
-def update_visible(
-    parameters: wp.array,
-    gradients: wp.array,
-    exp_avgs: wp.array,
-    exp_avg_sqs: wp.array,
-    visible: wp.array,
-    rate: float,
-    betas: tuple[float, float],
-    epsilon: float,
-) -> None:
-    """Updates the visible rows of a parameter in place.
-
-    Args:
-        parameters: [N · length].
-        gradients: [N · length].
-        exp_avgs: [N · length], first moments.
-        exp_avg_sqs: [N · length], second moments.
-        visible: bool [N].
-        rate: learning rate.
-        betas: decay of the moments.
-        epsilon: added to the denominator.
-    """
-    count = parameters.shape[0]
-    scalars = [count // max(visible.shape[0], 1), rate, 1.0 - betas[0], 1.0 - betas[1], epsilon]
-    arrays = [visible, gradients, parameters, exp_avgs, exp_avg_sqs]
-    launch(selective_adam_kernel(parameters.dtype), count, [*scalars, *arrays], parameters.device)

@@ -4,7 +4,6 @@ from typing import Any
 
 import warp as wp
 
-from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import made_once
 
 
@@ -50,16 +49,3 @@ def small_product_kernels(dtype: type) -> tuple[wp.Kernel, wp.Kernel]:
         products[n, row] = total
 
     return multiply_kernel, multiply_transposed_kernel
-
-
-def multiply(matrices: wp.array, columns: wp.array, products: wp.array, *, transposed: bool = False) -> None:
-    """Multiplies each matrix with its columns.
-
-    Args:
-        matrices: [N, K, K].
-        columns: vec3 [N, K].
-        products: vec3 [N, K], output.
-        transposed: Multiply the transposes.
-    """
-    kernel = small_product_kernels(matrices.dtype)[transposed]
-    launch(kernel, columns.shape[0] * columns.shape[1], [matrices, columns, products], columns.device)

@@ -126,9 +126,7 @@ def with_measured(argv: list[str], config: TrainConfig, measured: dict[str, Any]
     """The configuration that a command line asks for, with what the images of the capture recommend.
 
     Args:
-        argv: Arguments without the program's name, of a run that begins.
         config: What ``parse_train_arguments`` made of them.
-        measured: Settings that the command line overrides.
     """
     changed = parse_train_arguments(argv, measured) if measured else config
     taken = [f"{key} {_words(value)}" for key, _, value in _differences(config, changed)]

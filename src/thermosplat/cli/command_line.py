@@ -27,7 +27,6 @@ def parse_command_line(
 
     Args:
         kind: Frozen dataclass; its docstring and those of its fields are the help.
-        prog: The program's name.
         default: What holds where no flag says otherwise. None: the dataclass's defaults.
 
     Raises:
@@ -49,7 +48,6 @@ def check_ranges(arguments: object, **ranges: tuple[float, float]) -> None:
     """Refuse numbers that a command cannot work with, NaN among them.
 
     Args:
-        arguments: As understood.
         **ranges: Least and largest value by the argument's name, of a number or of each of several. None is always
             allowed.
 

@@ -50,7 +50,7 @@ def _compare(arguments: CompareArguments) -> int:
         from thermosplat.comparison.dates import in_one_frame, opened_dates
 
     folder = Path(os.path.expanduser(arguments.output))
-    runs = [_run_of(named, arguments, folder) for named in arguments.runs]
+    runs = [run_of(named, arguments, folder) for named in arguments.runs]
     opened, spectrum, photographs = opened_dates(runs, arguments.data, device=arguments.device)
     for run, capture in opened:
         for note in (*run.notes, *capture.notes):
@@ -65,7 +65,7 @@ def _compare(arguments: CompareArguments) -> int:
     return 0
 
 
-def _run_of(named: str, arguments: CompareArguments, output: Path) -> str:
+def run_of(named: str, arguments: CompareArguments, output: Path) -> str:
     """The run that was named, or that of a folder with files: what was made of it before is not made again."""
     from thermosplat.datasets.colmap.model import find_model
     from thermosplat.datasets.transforms.reader import find_transforms
@@ -89,11 +89,7 @@ def _run_of(named: str, arguments: CompareArguments, output: Path) -> str:
 
 
 def _do(*words: str) -> None:
-    """Run another command in a process of its own, whose memory is free afterwards.
-
-    Raises:
-        SystemExit: It failed, and has said why.
-    """
+    """Run another command in a process of its own, whose memory is free afterwards."""
     print(f"thermosplat-{shlex.join(words)}", flush=True)
     if code := subprocess.run([sys.executable, "-P", "-m", "thermosplat", *words], check=False).returncode:
         sys.exit(code)

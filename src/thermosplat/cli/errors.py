@@ -43,7 +43,6 @@ def run_command(body: Callable[[], int], *, debug: bool, one_line: bool = False)
 
     Args:
         body: The command; returns its exit code.
-        debug: Show the traceback too.
         one_line: Say what is wrong in one line without a panel, for programs that read it.
 
     Returns:

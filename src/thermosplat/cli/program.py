@@ -13,10 +13,6 @@ def run_program(kind: type[Arguments], body: Callable[[Arguments], int], argv: l
     Args:
         kind: As of ``parse_command_line``, with a flag ``debug``.
         body: What the program does; returns the exit code.
-        prog: The program's name.
-
-    Returns:
-        The exit code, as ``run_command`` has it.
     """
     words = sys.argv[1:] if argv is None else argv
     return run_command(lambda: body(parse_command_line(kind, words, prog=prog)), debug="--debug" in words)

@@ -17,7 +17,6 @@ def asked_temperatures(
     """How the temperatures of a run are made; says what is to be known of it.
 
     Args:
-        settings: The command's flags.
         capture: Its capture; None: it is not at hand.
 
     Raises:

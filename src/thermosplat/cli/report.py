@@ -142,11 +142,7 @@ def _report(arguments: ReportArguments) -> int:
 
 
 def _reference(name: str | None, pages: "Pages", spectrum: str) -> float | None:
-    """Mean of the measurement that is the reference; None: there is none.
-
-    Raises:
-        UserError: No measurement of the spectrum's image has this name.
-    """
+    """Mean of the measurement that is the reference; None: there is none."""
     if name is None:
         return None
     known = {

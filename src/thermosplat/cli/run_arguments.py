@@ -42,9 +42,6 @@ class SpectraArguments:
     def chosen(self, trained: Collection[str]) -> list[str]:
         """The spectra to show, in the order of the model.
 
-        Args:
-            trained: Those of the model.
-
         Raises:
             UserError: One was not trained.
         """

@@ -14,11 +14,7 @@ _FIELDS = frozenset(field.name for field in dataclasses.fields(SpectrumConfig))
 
 
 def with_groups(argv: list[str], spectra: Collection[str]) -> list[str]:
-    """A command line with the flags of spectra as the configuration has them.
-
-    Args:
-        spectra: Names of the spectra.
-    """
+    """A command line with the flags of spectra as the configuration has them."""
     return [_with_group(word, spectra) for word in argv]
 
 
@@ -29,9 +25,6 @@ def named_spectra(argv: list[str], known: Mapping[str, SpectrumConfig]) -> dict[
 
 def refuse_unknown_spectra(argv: list[str], spectra: Collection[str]) -> None:
     """Say which spectra there are where a command line has a flag of another.
-
-    Args:
-        spectra: Names of the spectra.
 
     Raises:
         UserError: At the first such flag.

@@ -37,7 +37,10 @@ def viewer_flags(argv: list[str]) -> ViewerFlags:
         UserError: The port is none.
     """
     words = with_viewer_port(argv)
-    port, host = _last(words, _FLAG), _last(words, _HOST_FLAG) or _last(words, _HOST_FLAG.replace("-h", "_h"))
+    port, host = (
+        last_value(words, _FLAG),
+        last_value(words, _HOST_FLAG) or last_value(words, _HOST_FLAG.replace("-h", "_h")),
+    )
     return ViewerFlags(None if port in (None, "None") else checked_port(_FLAG, int(port or 0)), host or LOCAL_HOST)
 
 
@@ -52,7 +55,7 @@ def checked_port(flag: str, port: int) -> int:
     return port
 
 
-def _last(words: list[str], flag: str) -> str | None:
+def last_value(words: list[str], flag: str) -> str | None:
     """The last value of a flag, given as the next word or after "="."""
     found = None
     for word, following in zip(words, [*words[1:], ""]):

@@ -91,8 +91,6 @@ def find_changes(first: DatedMap, other: DatedMap, pixel: float) -> Changes:
     """Compare two dates.
 
     Args:
-        first: The earlier map.
-        other: The later one, on the same grid.
         pixel: Side of a pixel [map units].
     """
     known = np.isfinite(first.values) & np.isfinite(other.values)

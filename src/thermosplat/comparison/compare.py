@@ -36,17 +36,11 @@ def compare(
     """Compare all later dates with the first, and write what was found.
 
     Args:
-        dates: Scenes in the frame of the first.
-        spectrum: Whose values are compared.
         photographs: The spectrum of the photographs; None: there is none.
-        folder: Where to write.
         pixel: Side of a pixel [map units]; None: that of the images from the middle distance, or a 1500th of the
             longer side if that is larger.
         extent: West, south, east, north; None: what the first capture saw.
         sentences: What was said of the frame, for the page.
-
-    Returns:
-        What to tell people.
 
     Raises:
         UserError: The extent is impossible, rasterio is missing, or a file cannot be written.

@@ -27,9 +27,7 @@ class Date:
     name: str
     """What to call it."""
     run: LoadedRun
-    """The trained scene."""
     capture: Capture
-    """Its capture."""
     to_first: MapFrame
     """From its scene to that of the first date."""
 
@@ -39,7 +37,6 @@ class DatedMap:
     """A date on the grid. Each array is [H, W] and NaN where the scene shows nothing."""
 
     values: Array
-    """Measured values."""
     half_widths: Array
     """Half of their 95% intervals."""
     heights: Array
@@ -63,7 +60,6 @@ def dated_map(date: Date, grid: MapGrid, spectrum: str, photographs: str | None)
 
     Args:
         grid: The grid, in the frame of the first date's scene.
-        spectrum: Whose values are compared.
         photographs: The spectrum of the photographs; None: there is none.
     """
     own, run = replace(grid, frame=grid.frame.of(date.to_first)), date.run

@@ -75,7 +75,6 @@ def in_one_frame(opened: Sequence[tuple[LoadedRun, Capture]], spectrum: str) -> 
 
     Args:
         opened: Runs with their captures.
-        spectrum: By whose images.
 
     Returns:
         The dates; and what to tell people.

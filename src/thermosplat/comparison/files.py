@@ -50,11 +50,7 @@ def write_difference(
     """Write the difference of a date as GeoTIFF, and as a mesh whose vertices are the points of its pixels.
 
     Args:
-        folder: Where.
         maps: The first and the later date.
-        changes: What changed.
-        unit: Unit of the values.
-        name: What the later date is called in files.
     """
     tif, ply = folder / f"difference_{name}.tif", folder / f"difference_{name}.ply"
     bands = np.stack([changes.differences, changes.uncertainties]).astype(np.float32)
@@ -94,11 +90,7 @@ def _faces(there: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def entries(changes: Changes, grid: MapGrid) -> list[dict[str, Any]]:
-    """The changes of a date as JSON and CSV have them.
-
-    Args:
-        changes: What changed.
-    """
+    """The changes of a date as JSON and CSV have them."""
     found = []
     for number, one in enumerate(changes.found, 1):
         east, north = _place(grid, *map(np.array, one.middle))
@@ -119,14 +111,7 @@ def entries(changes: Changes, grid: MapGrid) -> list[dict[str, Any]]:
 
 
 def write_tables(folder: Path, content: dict[str, Any], rows: Sequence[Row], dates: Sequence[str]) -> None:
-    """Write changes.json, changes.csv and over_time.csv.
-
-    Args:
-        folder: Where.
-        content: What changes.json says.
-        rows: Of the table over time.
-        dates: Names of the dates.
-    """
+    """Write changes.json, changes.csv and over_time.csv."""
     table = io.StringIO()
     columns = ("date", "number", "kind", "east", "north", "area", "difference", "plus_minus", "height")
     writer = csv.DictWriter(table, (*columns, "from_east", "from_north"), restval="")
@@ -153,11 +138,7 @@ def write_page(
     """Write index.html and its pictures.
 
     Args:
-        folder: Where.
-        maps: What they show.
-        changes: Of each later date against the first.
         content: As of ``write_tables``.
-        rows: Of the table over time.
     """
     known = np.concatenate([one.values[np.isfinite(one.values)] for one in maps])
     low, high = np.percentile(known, _SPAN).tolist() if len(known) else (0.0, 1.0)

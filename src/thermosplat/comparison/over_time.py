@@ -20,7 +20,6 @@ class Row:
     """One place or measurement."""
 
     what: str
-    """Its name."""
     values: tuple[float | None, ...]
     """Its mean at each date; None where it has none."""
 
@@ -29,24 +28,17 @@ def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence
     """One row for each place whose temperature changed, then one for each measurement.
 
     A place that changed at several dates has one row, under its first name.
-
-    Args:
-        maps: What they show on the grid.
-        changes: Of each later date against the first.
     """
     rows, places = [], list[NDArray[np.bool_]]()
     for date, found in zip(dates[1:], changes):
         for number, change in enumerate(found.found, 1):
-            if change.kind in ("warmer", "colder") and not any(_same_place(change.mask, one) for one in places):
+            # the same place is one of which two changes overlap by half or more of what either covers
+            known = any(2 * (change.mask & one).sum() >= (change.mask | one).sum() for one in places)
+            if change.kind in ("warmer", "colder") and not known:
                 means = tuple(_mean(one.values, change.mask) for one in maps)
                 rows.append(Row(f"{date.name} {number}, {change.kind}", means))
                 places.append(change.mask)
     return [*rows, *_measurements(dates)]
-
-
-def _same_place(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> bool:
-    """Whether two places overlap by half or more of what either covers."""
-    return bool(2 * (one & other).sum() >= (one | other).sum())
 
 
 def _mean(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> float | None:

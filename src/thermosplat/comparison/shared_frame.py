@@ -75,8 +75,6 @@ def shared_frame(
     """Find where the scene of another date lies in the first.
 
     Args:
-        first: Run and capture of the first date.
-        other: Those of the other.
         spectrum: Photographs that both have.
         start: About where the other scene lies in the first, by GPS; it only tells which photographs are near.
 

@@ -46,10 +46,6 @@ class BandFormula:
 def parsed(text: str, channels: int, called: str) -> BandFormula:
     """Read "name = formula".
 
-    Args:
-        channels: How many bands there are.
-        called: The setting, for messages.
-
     Raises:
         UserError: It has another form, another sign, or a band that does not exist.
     """

@@ -157,7 +157,6 @@ def check_text(value: object, what: str) -> None:
 
     Args:
         value: Any value; only texts and paths are looked at.
-        what: What it is, as the message shall call it.
 
     Raises:
         UserError: It has bytes that are no UTF-8, or what OmegaConf would fill in.

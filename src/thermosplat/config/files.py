@@ -43,16 +43,8 @@ def preset_paths() -> dict[str, Path]:
     return {path.stem: path for path in sorted(presets_folder().rglob("*.yaml"), key=lambda path: path.stem)}
 
 
-def list_presets() -> tuple[str, ...]:
-    """Names that ``--config`` knows."""
-    return tuple(preset_paths())
-
-
 def load_config(name_or_path: str | Path) -> TrainConfig:
     """The configuration a preset or a YAML file describes.
-
-    Args:
-        name_or_path: A preset's name, or a path to a YAML file.
 
     Returns:
         The configuration; its ``config`` field is the name given, unless the file itself states one (as the resolved
@@ -78,7 +70,6 @@ def from_dict(
 
     Args:
         values: Nested dictionary as `to_dict` makes it.
-        source: What to call its origin in error messages.
         notes: As ``without_gone_settings``'s.
 
     Raises:
@@ -138,11 +129,7 @@ def _find(name_or_path: str, relative_to: Path, *, is_base: bool) -> Path:
 
 
 def data_from_anywhere(data: str) -> str:
-    """What names a capture (``TrainConfig.data``) as a run keeps it: a path that holds from any directory.
-
-    Args:
-        data: A folder, or "sample".
-    """
+    """What names a capture (``TrainConfig.data``) as a run keeps it: a path that holds from any directory."""
     return data if data == "sample" else _from_anywhere(data)
 
 

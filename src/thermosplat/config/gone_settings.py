@@ -96,11 +96,7 @@ _CHOICES = {"decoder_precision": ("bfloat16", "Decoders train in float32 or tf32
 
 
 def gone(name: str) -> Gone | None:
-    """What became of a setting; None where there is one of that name, or never was.
-
-    Args:
-        name: Its dotted name.
-    """
+    """What became of a setting; None where there is one of that name, or never was."""
     first, _, rest = name.partition(".")
     return GONE.get(f"spectra.*.{rest.partition('.')[2]}" if first == "spectra" else name)
 
@@ -110,7 +106,6 @@ def without_gone_settings(values: dict[str, Any], *, source: str, notes: list[st
 
     Args:
         values: Nested dictionaries, from any version.
-        source: File or other origin, for messages.
         notes: Of what is trained already: takes what to tell of settings that are left out though they asked for
             something else than what is done today. None: nothing is trained yet, and such a setting is a mistake.
 

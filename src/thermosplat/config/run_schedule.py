@@ -62,7 +62,6 @@ def _asked_by_capture(config: TrainConfig, views: int, noisy: Sequence[str]) -> 
     Args:
         config: The configuration; ``steps_for_views`` and ``noisy_steps`` say when.
         views: Training views of the capture, a frame with images of several spectra being one.
-        noisy: The spectra whose images are noisy.
     """
     asked = {}
     if config.steps_for_views is not None and views > config.steps_for_views:
@@ -100,7 +99,6 @@ def run_schedule(config: TrainConfig, views: int = 0, noisy: Sequence[str] = ())
     Args:
         config: The configuration; with nothing to scale by, and no shares, it is returned as it is.
         views: Training views of the capture; 0 where they are not known.
-        noisy: The spectra whose images are noisy.
     """
     size = config.batch_size or 1
     of_capture = _capture_factor(config, _asked_by_capture(config, views, noisy))

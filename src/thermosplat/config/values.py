@@ -18,7 +18,6 @@ def fill(default: Config, values: dict[str, Any], *, source: str, prefix: str = 
     Args:
         default: Frozen dataclass that gives the fields not named in ``values``.
         values: Field names to plain values; nested dictionaries for nested dataclasses.
-        source: File or other origin, for error messages.
         prefix: Dotted path of ``default`` inside the whole configuration, for error messages.
 
     Raises:

@@ -57,12 +57,7 @@ def assemble(
     """Read the images of a listing, or where they take more memory than they may, what is to be known of them.
 
     Args:
-        root: The capture's folder.
-        name: The capture's name.
-        listing: Its files, cameras and points.
-        size: What makes images smaller.
         test_every: Period of the hold-out rule, where the folders do not divide the frames.
-        spectra: The spectra, and how the images of each are read.
         lens: "undistort" resamples distorted images to pinhole images; "direct" leaves them as they were taken.
         image_memory: As of ``TrainConfig``.
 

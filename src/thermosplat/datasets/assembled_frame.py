@@ -42,8 +42,6 @@ def assembled_frame(
         lines: By spectrum, how lines were read out one after the other; None: all at once.
         listing: The capture's, root its folder.
         root: As of ``assemble``, as what follows.
-        size: What makes images smaller.
-        lens: What is done with lenses.
 
     Raises:
         UserError: An image does not fit its camera, or is too small or too large.

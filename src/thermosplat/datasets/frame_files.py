@@ -19,7 +19,6 @@ class Shot:
 
     Args:
         path: The file that is seen: a photograph, pseudo-colour, grey, or values where there is nothing else.
-        lens: Its calibrated camera.
         viewmat: [4, 4] float64, world to camera.
         raw: Values of the same exposure, where there are any (may be `path` itself).
         mask: An image that is black where pixels of this one do not count, where there is one.
@@ -69,7 +68,6 @@ class Listing:
     """Everything a layout reader knows of a capture.
 
     Args:
-        layout: Name of the layout.
         frames: The frames, in any order.
         points: [M, 3] float64 [world units].
         point_colors: [M, 3] uint8.
@@ -77,7 +75,6 @@ class Listing:
             whatever resolution; else equal size is taken for the sign.
         celsius_range: Temperatures [°C] of black and white in 8-bit grey thermal images, where stated.
         not_found: By spectrum, the first of the files that the layout names and that do not exist.
-        notes: What the user should be told.
     """
 
     layout: str

@@ -191,14 +191,6 @@ def read_sample(
 ) -> tuple[SpectrumReading | None, list[str]]:
     """What the images of one spectrum are, by some of them.
 
-    Args:
-        root: The capture's folder.
-        name: The spectrum's name.
-        spectrum: Its settings.
-        sample: Indices of those that are read.
-        headers: Of all files.
-        listing: What the layout knows of the capture.
-
     Returns:
         The reading of the sample, None if no frame has the spectrum; and what to tell of a range that is not that of
         all images.
@@ -225,13 +217,6 @@ def unread_pixels(
     shot: Shot, spectrum: SpectrumConfig, meaning: PixelMeaning, headers: Headers, cache: PixelCache
 ) -> UnreadPixels | None:
     """An exposure as its headers describe it; None where it lacks the file that images are made of.
-
-    Args:
-        shot: The exposure.
-        spectrum: The spectrum's settings.
-        meaning: What its files are.
-        headers: Of all files.
-        cache: Keeps what is made of the files.
 
     Raises:
         UserError: A file is damaged, or no image.

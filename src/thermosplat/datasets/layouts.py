@@ -35,10 +35,6 @@ def list_capture(root: Path, spectra: Mapping[str, SpectrumConfig]) -> Listing:
     beside it (ThermoScenes ships one of the unprocessed images); images/ or thermal/ with a model is a COLMAP project.
     A model that has images of several spectra is a rig, whatever the folders.
 
-    Args:
-        root: The folder.
-        spectra: The spectra to look for, in order.
-
     Raises:
         UserError: No layout fits.
     """

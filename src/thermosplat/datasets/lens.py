@@ -54,7 +54,6 @@ class Lens:
     """A calibrated camera: a COLMAP camera model with its parameters and the image size they refer to.
 
     Args:
-        model: Name of the COLMAP camera model.
         params: Its parameters in COLMAP's order; lengths in [px], pixel centres at half-integers.
         width: Image width at calibration [px].
         height: Image height at calibration [px].
@@ -95,7 +94,6 @@ class Rectification:
     """A pinhole camera, and the resampling that brings a file's image to it.
 
     Args:
-        camera: The pinhole camera.
         maps: [height, width, 2] float32 position in the file's image for each pixel, counted from the first pixel's
             centre as `cv2.remap` does; None where the image is already a pinhole image.
     """
@@ -154,10 +152,8 @@ def positions_in_file(
     """Where places of the pinhole image lie in a file's image.
 
     Args:
-        lens: The file's camera.
         width: Width of the file's image [px].
         height: Height of the file's image [px].
-        camera: The pinhole camera.
         places: x and y in the pinhole image [px], shape [..., 2].
 
     Returns:

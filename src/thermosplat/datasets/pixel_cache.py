@@ -35,7 +35,6 @@ class PixelCache:
 
         Args:
             folder: The folder; it exists. Files of other keys in it, which older settings left, are deleted.
-            keys: The keys there will be.
         """
         for file in folder.iterdir():
             if KEPT_PIXELS.fullmatch(file.name) and file.name.partition(".")[0] not in keys:
@@ -65,11 +64,9 @@ class PixelCache:
             return None
 
     def load_into(self, key: str, part: str, array: NDArray[Any]) -> bool:
-        """Read an array that was kept into one of the same shape and type.
+        """Read an array that was kept into one of the same shape and type. The other arguments are those of ``keep``.
 
         Args:
-            key: As of ``keep``.
-            part: As of ``keep``.
             array: Where the numbers go, in one piece.
 
         Returns:

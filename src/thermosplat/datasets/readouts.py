@@ -72,9 +72,7 @@ class Readout:
         straight line over the image.
 
         Args:
-            lens: The file's camera.
             file: Width and height of the file's image [px].
-            camera: The pinhole camera that its images are brought to.
         """
         across = self.order in ("left-to-right", "right-to-left")
         axis = 0 if across else 1

@@ -64,9 +64,7 @@ def seen_by(camera: Camera, lens: Lens | None, pixels: SpectrumPixels) -> Spectr
     """Pixels of a file as the view's camera sees them: undistorted, and of its size.
 
     Args:
-        camera: The view's camera.
         lens: The lens whose distortion is taken out; None: it stays.
-        pixels: The file's pixels.
     """
     height, width, channels = pixels.image.shape
     ideal = None if lens is None else rectification(lens, width, height)
@@ -92,10 +90,6 @@ class StoredPixels:
     """Where the pixels of one view are, and what they are.
 
     Args:
-        shot: The files.
-        header: Of the file that the image is made of.
-        source: What the spectrum's images are.
-        meaning: How they become an image.
         camera: The view's, as the capture has it.
         lens: The lens whose distortion is taken out; None: it stays.
         cache: Keeps what was made of the files.

@@ -35,7 +35,6 @@ def numbers_of_all(numbers: Sequence[float], device: torch.device) -> list[list[
 
     Args:
         numbers: This rank's, exact in float64; as many on every rank.
-        device: Where tensors are exchanged.
     """
     hosts_talk = "cpu:" in dist.get_backend_config()
     own = torch.tensor(list(numbers), dtype=torch.float64, device="cpu" if hosts_talk else device)
@@ -73,8 +72,6 @@ class GatheredRows(torch.autograd.Function):
         """All rows.
 
         Args:
-            ctx: What the backward pass reads.
-            own: This rank's.
             counts: Rows of each rank.
         """
         rank, longest = dist.get_rank(), max(counts)

@@ -85,7 +85,6 @@ class Team:
         """Every rank's rows [n, ...], one below the other, on rank 0; None on the others.
 
         Args:
-            rows: This rank's.
             counts: Rows of each rank.
         """
         sent = [len(rows) if rank == 0 else 0 for rank in range(self.size)]
@@ -99,7 +98,6 @@ class Team:
         Args:
             rows: On rank 0 all of them, [total, ...]; None on the others.
             like: A tensor of their type and of the shape [n, ...].
-            total: How many.
         """
         counts = blocks(total, self.size)
         width = like.shape[1:].numel()

@@ -45,7 +45,6 @@ def coherence(
     """How coherent each two spectra are, by "first-second".
 
     Args:
-        model: The trained scene.
         capture: Its capture, whose held-out views' cameras are used: those of the second spectrum, else of the first.
     """
     made = {}

@@ -43,15 +43,12 @@ class RenderedView:
     """One spectrum of one frame: its render, clamped to [0, 1], and what it should have been."""
 
     spectrum: str
-    """The spectrum's name."""
     camera: ViewTensors
-    """From where it was rendered."""
     image: Tensor
     """[H, W, C]."""
     target: Tensor
     """[H, W, C]."""
     scale: PixelScale
-    """What pixel values mean."""
     values: Tensor | None
     """[H, W]; where there are measured values."""
     formation: Formation | None = None
@@ -112,7 +109,6 @@ def rendered_views(
     """Render a frame; yields its spectra that are both modelled and photographed.
 
     Args:
-        scales: The capture's scales.
         temperatures: How measured values are recalculated; None: they are not.
     """
     # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
@@ -147,7 +143,6 @@ def evaluate(
         capture: Its capture; ``capture.test`` is rendered.
         lpips: LPIPS of two images [H, W, 3] in [0, 1]; None leaves the LPIPS numbers null.
         strips_dir: Folder for one PNG per frame: ground truth, render and error of its spectra.
-        csv_path: File for the numbers of every view.
         temperatures: How temperatures are recalculated before they are compared; None: they are not.
 
     Returns:
@@ -193,7 +188,6 @@ def frame_comparisons(
     """Ground truth, render and error of one frame, by spectrum.
 
     Args:
-        scales: The capture's scales.
         ranges: Values at the palettes' ends by spectrum (``display_range``); None: those of the scales.
     """
     shown = ranges or {}

@@ -60,14 +60,11 @@ def evaluate_refined(
     temperatures: SceneTemperatures | None = None,
 ) -> Judged:
     """Judge a model by its held-out views, whose poses are found first if training refined those of its own.
+    The other arguments are those of ``evaluate``.
 
     Args:
         capture: The capture with corrected cameras (``corrected_capture``).
         config: The run's; what it refines, and the weights of the image losses.
-        lpips: As of ``evaluate``.
-        strips_dir: As of ``evaluate``.
-        csv_path: As of ``evaluate``.
-        temperatures: As of ``evaluate``.
     """
     how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "lpips": lpips, "temperatures": temperatures}
     if POSES not in config.refine:
@@ -107,7 +104,6 @@ def held_out_motions(
     Args:
         model: The scene; it stays as it is.
         capture: The capture, whose ``test`` frames are looked at.
-        config: Weights of the image losses.
 
     Returns:
         (r, t) by the frame's name [rad, scene extents], shape [6], the best of all updates.

@@ -116,13 +116,8 @@ def write_regions(
     """Measure ``region_errors`` and write the run's regions.json; without ground truth nothing is written.
 
     Args:
-        run: The run folder.
-        steps: Training steps done.
         path: Another file in place of regions.json.
         temperatures: As of ``region_errors``.
-
-    Returns:
-        The errors.
     """
     regions = region_errors(model, capture, sh_degree=sh_degree, device=device, temperatures=temperatures)
     if regions is not None:

@@ -68,8 +68,6 @@ def write_scene(
     """Write ``splat_<spectrum>.ply`` for each spectrum, side by side; in any thread, as it does not touch the model.
 
     Args:
-        scene: What to write.
-        folder: Where.
         compact: As ``formats.ply.write_splats``.
         scalars: Further properties by spectrum (``formats.ply.write_splats``).
         frame: Where positions count from; an origin is told in a file beside the others.
@@ -90,8 +88,6 @@ def spectrum_splats(model: SceneModel, name: str, scales: Scales, *, colors: Col
     """Gaussians that show one spectrum by spherical harmonics alone, in the scene's frame; none is a parameter.
 
     Args:
-        model: The trained scene.
-        name: The spectrum to show.
         scales: What pixel values mean: a decoded scalar goes through its palette.
         colors: Palette or scalar. Pseudo-colours of a model without decoders stay, whatever is asked.
 
@@ -114,7 +110,6 @@ def shown_colors(image: Tensor, scale: PixelScale, colors: Colors = "palette") -
 
     Args:
         image: Values in [0, 1], [..., C], C as the scale says.
-        scale: What they mean.
         colors: Palette or scalar; photographs are as they are.
     """
     if not scale.has_intensity or (scale.kind == "color" and colors == "palette"):
@@ -139,15 +134,7 @@ def spectrum_values(model: SceneModel, name: str, scales: Scales) -> Tensor:
 def header_comments(
     model: SceneModel, name: str, scale: PixelScale, frame: ExportFrame, *, colors: Colors = "palette"
 ) -> list[str]:
-    """What a file says about its splats: the spectrum, its palette and range, how exact its colours are.
-
-    Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
-        frame: Where positions count from.
-        colors: How it is shown.
-    """
+    """What a file says about its splats: the spectrum, its palette and range, how exact its colours are."""
     comments = [f"thermosplat {name}", *frame.comments()]
     exact = model.formations[name].exact_splats
     if not exact:

@@ -48,9 +48,7 @@ class WrittenSplats:
     """What became of the Gaussians."""
 
     path: Path
-    """The file."""
     num_gaussians: int
-    """Gaussians in the file."""
     num_dropped: int
     """Gaussians left out: a value that is not finite, or an opacity below 1/255."""
 
@@ -98,7 +96,6 @@ def in_world(splats: Splats, placement: Placement) -> Splats:
 
     Args:
         splats: In the scene's frame.
-        placement: Where the scene lies in the world.
     """
     if placement.unit == 1.0:
         return splats

@@ -9,7 +9,9 @@ from torch.autograd.function import once_differentiable
 from thermosplat.torch_bridge.arrays import given_view, kinds_of, strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.machinery.array_views import ArrayView
-from warp_kernels.training.activations import activate, activate_adjoint
+from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.activations import activation_kernels
 
 
 def activated(
@@ -38,8 +40,9 @@ class _Activated(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         stored = log_scales, logits, logits[:0] if second is None else second
         made = [torch.empty_like(tensor) for tensor in stored]
-        with launches_on_torch_stream(logits.device):
-            activate(*_arrays(*stored), is_offset, *_arrays(*made))
+        kernel, _ = activation_kernels(kinds_of(logits.dtype).scalar)
+        with launches_on_torch_stream(logits.device) as device:
+            launch(kernel, whole_warps(len(logits), device), [*_arrays(*stored), is_offset, *_arrays(*made)], device)
         ctx.is_offset = is_offset
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(*made)
@@ -52,8 +55,10 @@ class _Activated(torch.autograd.Function):
         made = ctx.saved_tensors
         given = [tensor[:0] if v is None else v for tensor, v in zip(made, gradients, strict=True)]
         v_stored = [torch.empty_like(tensor) for tensor in made]
-        with launches_on_torch_stream(made[0].device):
-            activate_adjoint(*_arrays(*made), *_arrays(*given), ctx.is_offset, *_arrays(*v_stored))
+        _, kernel = activation_kernels(kinds_of(made[1].dtype).scalar)
+        with launches_on_torch_stream(made[0].device) as device:
+            inputs = [*_arrays(*made), *_arrays(*given), ctx.is_offset, *_arrays(*v_stored)]
+            launch(kernel, whole_warps(len(made[1]), device), inputs, device)
         v_log_scales, v_logits, v_second = v_stored
         return v_log_scales, v_logits, v_second if ctx.needs_input_grad[2] else None, None
 

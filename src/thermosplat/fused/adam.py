@@ -10,8 +10,10 @@ from torch import Tensor
 
 from thermosplat.torch_bridge.arrays import numbered_parts, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.machinery.array_views import ArrayView
-from warp_kernels.training.adam import AdamArrays, adam_update
+from warp_kernels.machinery.array_views import ArrayView, empty
+from warp_kernels.machinery.launching import launch_again
+from warp_kernels.machinery.tensor_tables import BLOCK, addresses, counts, launches
+from warp_kernels.training.adam import adam_coefficients_kernel, adam_update_kernel
 
 
 class WarpAdam(torch.optim.Adam):
@@ -69,9 +71,20 @@ def step_together(optimizers: Iterable[WarpAdam], blocked: Tensor) -> None:
                     # An update counts its step: parts after the first count copies.
                     steps = state["step"] if number == 0 else state["step"].clone()
                     members.append((*part, steps, group["lr"]))
-    with launches_on_torch_stream(blocked.device):
+    with launches_on_torch_stream(blocked.device) as device:
+        stop = _flat(blocked)
         for (betas, eps, decay), members in tensors.items():
-            adam_update([AdamArrays(*map(_flat, member)) for member in members], _flat(blocked), betas, eps, decay)
+            columns = [[_flat(member[place]) for member in members] for place in range(6)]
+            sizes = [len(part) for part in columns[0]]
+            for some, ends in launches(sizes):
+                parameters, gradients, averages, squares, steps, rates = (addresses(one[some]) for one in columns)
+                count = len(sizes[some])
+                coefficients = empty(count, wp.vec3, device)
+                inputs = [*betas, decay, rates, stop, steps, coefficients]
+                launch_again(adam_coefficients_kernel, count, inputs, device)
+                inputs = [counts(ends), counts(sizes[some]), 1.0 - betas[0], betas[1], 1.0 - betas[1], eps]
+                inputs += [stop, coefficients, gradients, parameters, averages, squares]
+                launch_again(adam_update_kernel, ends[-1], inputs, device, BLOCK)
 
 
 def _flat(tensor: Tensor) -> ArrayView:

@@ -9,7 +9,8 @@ from torch.autograd.function import once_differentiable
 from thermosplat.torch_bridge.arrays import strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.machinery.array_views import ArrayView
-from warp_kernels.training.covered_images import cover, cover_adjoint
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.covered_images import covering_kernels
 
 
 def warp_covered(decoded: Tensor, alpha: Tensor, base: Tensor | None = None) -> Tensor:
@@ -28,8 +29,9 @@ class _Covered(torch.autograd.Function):
     def forward(ctx: Any, decoded: Tensor, alpha: Tensor, base: Tensor | None) -> Tensor:
         covered = torch.empty_like(decoded)
         below = decoded[:0] if base is None else base
-        with launches_on_torch_stream(decoded.device):
-            cover(_pixels(decoded), _numbers(alpha), _pixels(below), _pixels(covered))
+        with launches_on_torch_stream(decoded.device) as device:
+            inputs = [_pixels(decoded), _numbers(alpha), _pixels(below), _pixels(covered)]
+            launch(covering_kernels(inputs[0].dtype)[0], alpha.numel(), inputs, device)
         ctx.has_base = base is not None
         ctx.save_for_backward(decoded, alpha)
         return covered
@@ -40,8 +42,9 @@ class _Covered(torch.autograd.Function):
         decoded, alpha = ctx.saved_tensors
         v_decoded, v_alpha = torch.empty_like(decoded), torch.empty_like(alpha)
         v = v_covered.contiguous()
-        with launches_on_torch_stream(decoded.device):
-            cover_adjoint(_pixels(decoded), _numbers(alpha), _pixels(v), _pixels(v_decoded), _numbers(v_alpha))
+        with launches_on_torch_stream(decoded.device) as device:
+            inputs = [_pixels(decoded), _numbers(alpha), _pixels(v), _pixels(v_decoded), _numbers(v_alpha)]
+            launch(covering_kernels(inputs[0].dtype)[1], alpha.numel(), inputs, device)
         return v_decoded, v_alpha, v_covered if ctx.has_base else None
 
 

@@ -3,9 +3,10 @@
 import warp as wp
 from torch import Tensor
 
-from thermosplat.torch_bridge.arrays import given_view, vector_of, view
+from thermosplat.torch_bridge.arrays import given_view, kinds_of, vector_of, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.training.density_notes import note_density
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.density_notes import density_kernel
 
 
 def note_gradients(
@@ -26,12 +27,15 @@ def note_gradients(
         norm_sums: float32 [N]; gets the norms where a camera sees a Gaussian.
         observations: float32 [N]; gets the number of those cameras.
     """
-    with launches_on_torch_stream(gradient.device):
-        note_density(
+    scalar, count = kinds_of(gradient.dtype).scalar, len(norm_sums)
+    with launches_on_torch_stream(gradient.device) as device:
+        inputs = [
+            visible.numel() // max(count, 1),
+            *map(scalar, half_size),
+            view(blocked, wp.float32),
             given_view(gradient, vector_of(2, gradient.dtype)),
             given_view(visible, wp.bool),
-            half_size,
-            view(blocked, wp.float32),
             view(norm_sums, wp.float32),
             view(observations, wp.float32),
-        )
+        ]
+        launch(density_kernel(scalar), count, inputs, device)

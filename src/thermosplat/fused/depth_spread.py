@@ -19,8 +19,9 @@ from torch.autograd.function import once_differentiable
 from thermosplat.torch_bridge.arrays import given_view, kinds_of, strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.machinery.array_views import ArrayView
-from warp_kernels.machinery.lanes import num_warps
-from warp_kernels.training.depth_spread import join_moments, join_moments_adjoint, take_spreads, take_spreads_adjoint
+from warp_kernels.machinery.lanes import lanes_of, num_warps, whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.depth_spread import moment_kernels, spread_kernels
 
 
 def with_depth_moments(features: Tensor, means: Tensor, viewmat: Tensor) -> Tensor:
@@ -56,8 +57,10 @@ class _AppendMoments(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, features: Tensor, means: Tensor, viewmat: Tensor) -> Tensor:
         joined = features.new_empty(len(features), features.shape[1] + 2)
-        with launches_on_torch_stream(means.device):
-            join_moments(strided_view(features), _vec3s(means), strided_view(viewmat), strided_view(joined))
+        kernel, _ = moment_kernels(kinds_of(features.dtype).scalar, features.shape[1])
+        with launches_on_torch_stream(means.device) as device:
+            inputs = [strided_view(features), _vec3s(means), strided_view(viewmat), strided_view(joined)]
+            launch(kernel, len(features), inputs, device)
         ctx.save_for_backward(means, viewmat)
         return joined
 
@@ -66,19 +69,23 @@ class _AppendMoments(torch.autograd.Function):
     def backward(ctx: Any, v_joined: Tensor) -> tuple[Tensor | None, ...]:
         means, viewmat = ctx.saved_tensors
         v_features, v_means = v_joined.new_empty(len(means), v_joined.shape[1] - 2), torch.empty_like(means)
-        given = _vec3s(means), strided_view(viewmat), strided_view(v_joined.contiguous())
-        with launches_on_torch_stream(means.device):
-            join_moments_adjoint(*given, strided_view(v_features), _vec3s(v_means))
+        v_joined = v_joined.contiguous()
+        _, kernel = moment_kernels(kinds_of(v_joined.dtype).scalar, v_features.shape[1])
+        with launches_on_torch_stream(means.device) as device:
+            given = _vec3s(means), strided_view(viewmat), strided_view(v_joined)
+            launch(kernel, len(means), [*given, strided_view(v_features), _vec3s(v_means)], device)
         return v_features, v_means, None
 
 
 class _SplitSpread(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, alpha: Tensor, limit: float) -> tuple[Tensor, Tensor]:
-        features = image.new_empty(*image.shape[:2], image.shape[2] - 2)
+        features, count = image.new_empty(*image.shape[:2], image.shape[2] - 2), alpha.numel()
+        kernel, _ = spread_kernels(kinds_of(image.dtype).scalar, features.shape[2])
         with launches_on_torch_stream(image.device) as device:
-            parts = image.new_empty(num_warps(alpha.numel(), device))
-            take_spreads(_pixels(image), _numbers(alpha), limit, _pixels(features), _numbers(parts))
+            parts = image.new_empty(num_warps(count, device))
+            given = _pixels(image), _numbers(alpha), *_factors(image, limit), lanes_of(device)
+            launch(kernel, whole_warps(count, device), [*given, _pixels(features), _numbers(parts)], device)
         ctx.limit = limit
         ctx.save_for_backward(image, alpha)
         return features, parts.sum()
@@ -88,9 +95,12 @@ class _SplitSpread(torch.autograd.Function):
     def backward(ctx: Any, v_features: Tensor, v_spread: Tensor) -> tuple[Tensor | None, ...]:
         image, alpha = ctx.saved_tensors
         v_image, v_alpha = torch.empty_like(image), torch.empty_like(alpha)
-        given = _pixels(image), _numbers(alpha), ctx.limit, _pixels(v_features.contiguous()), _numbers(v_spread)
-        with launches_on_torch_stream(image.device):
-            take_spreads_adjoint(*given, _pixels(v_image), _numbers(v_alpha))
+        v_features = v_features.contiguous()
+        _, kernel = spread_kernels(kinds_of(image.dtype).scalar, v_features.shape[2])
+        with launches_on_torch_stream(image.device) as device:
+            given = _pixels(image), _numbers(alpha), *_factors(image, ctx.limit), _pixels(v_features)
+            outputs = _numbers(v_spread), _pixels(v_image), _numbers(v_alpha)
+            launch(kernel, alpha.numel(), [*given, *outputs], device)
         return v_image, v_alpha, None
 
 
@@ -104,3 +114,9 @@ def _pixels(image: Tensor) -> ArrayView:
 
 def _numbers(tensor: Tensor) -> ArrayView:
     return strided_view(tensor.reshape(-1))
+
+
+def _factors(image: Tensor, limit: float) -> tuple[Any, Any]:
+    """1 / limit, or 0 for none, and a pixel's share of a mean."""
+    scalar, count = kinds_of(image.dtype).scalar, image.shape[0] * image.shape[1]
+    return scalar(1.0 / limit if limit > 0 else 0.0), scalar(1.0 / max(count, 1))

@@ -10,8 +10,9 @@ from torch.autograd.function import once_differentiable
 from thermosplat.torch_bridge.arrays import given_view, kinds_of, strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
 from warp_kernels.machinery.array_views import ArrayView
-from warp_kernels.machinery.lanes import num_warps
-from warp_kernels.training.gaussian_penalties import gaussian_means, gaussian_means_adjoint
+from warp_kernels.machinery.lanes import lanes_of, num_warps, whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.gaussian_penalties import penalty_kernels
 
 
 def mean_opacity_and_scale(
@@ -54,9 +55,11 @@ class _Means(torch.autograd.Function):
         share: Tensor,
     ) -> Tensor:
         stored = log_scales, logits, logits[:0] if second is None else second
+        kernel, _ = penalty_kernels(kinds_of(logits.dtype).scalar)
         with launches_on_torch_stream(logits.device) as device:
             parts = logits.new_empty(2, num_warps(len(logits), device))
-            gaussian_means(*_arrays(*stored), *_those_seen(seen, share), is_offset, strided_view(parts))
+            given = *_arrays(*stored), *_those_seen(seen, share), is_offset, lanes_of(device)
+            launch(kernel, whole_warps(len(logits), device), [*given, strided_view(parts)], device)
         ctx.is_offset = is_offset
         ctx.save_for_backward(*stored, seen, share)
         return parts.sum(dim=1)
@@ -67,9 +70,11 @@ class _Means(torch.autograd.Function):
         *stored, seen, share = ctx.saved_tensors
         v_stored = [torch.empty_like(tensor) for tensor in stored]
         v = v_means.contiguous()
-        with launches_on_torch_stream(v.device):
-            given = *_arrays(*stored), *_those_seen(seen, share)
-            gaussian_means_adjoint(*given, ctx.is_offset, strided_view(v), *_arrays(*v_stored))
+        logits = stored[1]
+        _, kernel = penalty_kernels(kinds_of(logits.dtype).scalar)
+        with launches_on_torch_stream(v.device) as device:
+            given = *_arrays(*stored), *_those_seen(seen, share), ctx.is_offset, strided_view(v)
+            launch(kernel, whole_warps(len(logits), device), [*given, *_arrays(*v_stored)], device)
         v_log_scales, v_logits, v_second = v_stored
         return v_log_scales, v_logits, v_second if ctx.needs_input_grad[2] else None, None, None, None
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
@@ -11,15 +12,11 @@ from torch.autograd.function import once_differentiable
 from thermosplat.image_quality.ssim import C1, C2, EPSILON, SSIM_SIGMA
 from thermosplat.torch_bridge.arrays import SCALARS, strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.image_loss.image_loss import TERMS
-from warp_kernels.image_loss.image_loss_step import (
-    ImageLossSettings,
-    image_loss_totals,
-    image_losses,
-    image_losses_adjoint,
-)
-from warp_kernels.image_loss.image_tiles import tiles_of
+from warp_kernels.image_loss.image_loss import TERMS, image_loss_kernels
+from warp_kernels.image_loss.image_loss_adjoint import image_loss_adjoint_kernel
+from warp_kernels.image_loss.image_tiles import threads_of, tiles_of
 from warp_kernels.machinery.array_views import ArrayView
+from warp_kernels.machinery.launching import launch_again, launch_tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +82,6 @@ def warp_image_losses(
         terms: At least one; the kernels compare ``TERMS`` of them in a launch. Their images receive gradients.
         ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
         smoothed: The term whose image's mean |∂x| + |∂y| is a loss too (``losses.smoothness``).
-        smoothness: The weight of that loss.
     """
     losses: list[Tensor] = []
     squared_errors: list[Tensor] = []
@@ -93,18 +89,9 @@ def warp_image_losses(
     for first in range(0, len(terms), TERMS):
         members = terms[first : first + TERMS]
         within = smoothed is not None and first <= smoothed < first + len(members)
-        settings = ImageLossSettings(
-            ssim_lambda,
-            SSIM_SIGMA,
-            C1,
-            C2,
-            EPSILON,
-            tuple(term.weight for term in members),
-            tuple(term.squared for term in members),
-            smoothed - first if smoothed is not None and within else None,
-            smoothness,
-        )
-        results = _Results.of(_ImageLosses.apply(members, settings, *(term.image for term in members)), len(members))
+        at = smoothed - first if smoothed is not None and within else None
+        numbers = _Numbers(members, ssim_lambda, at, smoothness)
+        results = _Results.of(_ImageLosses.apply(members, numbers, *(term.image for term in members)), len(members))
         losses += results.losses
         squared_errors += results.squared_errors
         if smooth is None or within:
@@ -112,6 +99,36 @@ def warp_image_losses(
     if smooth is None:
         raise ValueError("terms must hold at least one image loss, found none.")
     return ImageLosses(tuple(losses), smooth, tuple(squared_errors))
+
+
+class _Numbers:
+    """What the launches share: sizes, and settings as kernel arguments.
+
+    Args:
+        terms: At most ``TERMS``, of images of one size.
+        ssim_share: λ_s; the rest is the absolute difference.
+        smoothed: The term whose image's |∂x| + |∂y| is a loss too; None: of none.
+        smoothness: Weight of that loss.
+    """
+
+    def __init__(self, terms: Sequence[ImageTerm], ssim_share: float, smoothed: int | None, smoothness: float) -> None:
+        image = terms[0].image
+        self.height, self.width, _ = image.shape
+        self.dtype = SCALARS[image.dtype]
+        channels = [term.target.shape[-1] for term in terms]
+        ends = list(accumulate(channels))
+        starts = [0, *ends]
+        self.channels = ends[-1]
+        self.tiles = tiles_of(self.height, self.width, self.dtype)
+        self.ends = (ends + [self.channels] * TERMS)[: TERMS - 1]
+        self.pixels = self.height * self.width
+        self.shares = self._padded([term.weight / (self.pixels * of) for term, of in zip(terms, channels, strict=True)])
+        smooth = [0, 0] if smoothed is None else [starts[smoothed], starts[smoothed + 1]]
+        self.smooth_share = self.dtype(smoothness / (self.pixels * max(smooth[1] - smooth[0], 1)))
+        self.settings = [self.dtype(ssim_share), *self._padded([term.squared for term in terms]), *smooth]
+
+    def _padded(self, values: Sequence[float]) -> list[Any]:
+        return [self.dtype(value) for value in [*values, *[0.0] * TERMS][:TERMS]]
 
 
 class _Results(NamedTuple):
@@ -142,25 +159,23 @@ class _Saved(NamedTuple):
 
 class _ImageLosses(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, terms: Sequence[ImageTerm], settings: ImageLossSettings, *images: Tensor
-    ) -> tuple[Tensor, ...]:
-        ctx.firsts = [term.first for term in terms]
-        ctx.settings = settings
+    def forward(ctx: Any, terms: Sequence[ImageTerm], n: _Numbers, *images: Tensor) -> tuple[Tensor, ...]:
+        ctx.firsts, ctx.numbers = [term.first for term in terms], n
         targets = [term.target for term in terms]
         renders = _compared(images, targets, ctx.firsts)
-        height, width, _ = images[0].shape
-        channels = sum(target.shape[-1] for target in targets)
         wanted = any(ctx.needs_input_grad)
         made = images[0].new_empty
-        sums = made(3 * channels, tiles_of(height, width, SCALARS[images[0].dtype]))
-        derivatives = made(*((3 * channels, height, width) if wanted else (0, 0, 0)))
+        sums = made(3 * n.channels, n.tiles)
+        derivatives = made(*((3 * n.channels, n.height, n.width) if wanted else (0, 0, 0)))
         losses, squared_errors = made(TERMS + 1), made(TERMS)
-        with launches_on_torch_stream(images[0].device):
-            arrays = _arrays(renders)
-            image_losses(arrays, _arrays(targets), settings, strided_view(sums), strided_view(derivatives))
+        of_tiles, of_terms = image_loss_kernels(n.dtype, SSIM_SIGMA, C1, C2, EPSILON)
+        with launches_on_torch_stream(images[0].device) as device:
+            given = [*_places(renders), *_places(targets), *n.ends, *n.settings]
+            outputs = _arrays([sums, derivatives])
+            launch_tiles(of_tiles, n.channels * n.tiles, threads_of(device), [*given, *outputs], device)
             totals = sums.sum(1)
-            image_loss_totals(arrays, settings, *_arrays([totals, losses, squared_errors]))
+            given = [n.channels, *n.ends, *n.shares, n.smooth_share, n.pixels]
+            launch_again(of_terms, TERMS + 1, [*given, *_arrays([totals, losses, squared_errors])], device)
         ctx.save_for_backward(*images, *targets, derivatives)
         errors = squared_errors.unbind()[: len(terms)]
         ctx.mark_non_differentiable(*errors)
@@ -183,15 +198,13 @@ class _ImageLosses(torch.autograd.Function):
             else torch.zeros_like(image, memory_format=torch.contiguous_format)
             for image, target in zip(images, targets, strict=True)
         ]
-        with launches_on_torch_stream(derivatives.device):
-            image_losses_adjoint(
-                _arrays(_compared(images, targets, ctx.firsts)),
-                _arrays(targets),
-                ctx.settings,
-                strided_view(derivatives),
-                strided_view(v_losses),
-                _arrays(_compared(v_images, targets, ctx.firsts)),
-            )
+        n = ctx.numbers
+        kernel = image_loss_adjoint_kernel(n.dtype, SSIM_SIGMA)
+        with launches_on_torch_stream(derivatives.device) as device:
+            renders, v_renders = (_places(_compared(one, targets, ctx.firsts)) for one in (images, v_images))
+            inputs = [*renders, *_places(targets), *n.ends, *n.settings, *n.shares, n.smooth_share]
+            inputs += [*_arrays([derivatives, v_losses]), *v_renders]
+            launch_tiles(kernel, n.channels * n.tiles, threads_of(device), inputs, device)
         return None, None, *v_images
 
 
@@ -209,6 +222,11 @@ def _compared(images: Sequence[Tensor], targets: Sequence[Tensor], firsts: Seque
         image[..., first : first + target.shape[-1]]
         for image, target, first in zip(images, targets, firsts, strict=True)
     ]
+
+
+def _places(images: Sequence[Tensor]) -> list[ArrayView]:
+    """Images for the kernels' places; those that are not used repeat the first."""
+    return _arrays([*images, *[images[0]] * TERMS][:TERMS])
 
 
 def _arrays(tensors: Sequence[Tensor]) -> list[ArrayView]:

@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from thermosplat.torch_bridge.arrays import strided_view
+from thermosplat.torch_bridge.arrays import kinds_of, strided_view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.training.point_spread import spread, spread_adjoint
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.point_spread import point_spread_kernels
 
 
 def blurred_by_gaussian(image: Tensor, sigma: Tensor, radius: int) -> Tensor:
@@ -30,10 +31,13 @@ class _Blur(torch.autograd.Function):
         table = _table(sigma, radius)
         across, both = torch.empty_like(image), torch.empty_like(image)
         (along, width), (down, height) = _axes(image)
-        with launches_on_torch_stream(image.device):
+        kernel, _ = point_spread_kernels(kinds_of(image.dtype).scalar)
+        with launches_on_torch_stream(image.device) as device:
             weights = strided_view(table)
-            spread(_numbers(image), weights, along, width, _numbers(across))
-            spread(_numbers(across), weights, down, height, _numbers(both))
+            of_rows = [_numbers(image), weights, along, width, _numbers(across)]
+            of_columns = [_numbers(across), weights, down, height, _numbers(both)]
+            for inputs in (of_rows, of_columns):
+                launch(kernel, image.numel(), inputs, device)
         ctx.save_for_backward(image, across, both, table)
         return both
 
@@ -44,14 +48,15 @@ class _Blur(torch.autograd.Function):
         v_both = v_both.contiguous()
         v_across, v_image, shares = (torch.empty_like(image) for _ in range(3))
         (along, width), (down, height) = _axes(image)
-        with launches_on_torch_stream(image.device):
+        _, kernel = point_spread_kernels(kinds_of(image.dtype).scalar)
+        with launches_on_torch_stream(image.device) as device:
             weights = strided_view(table)
             given = _numbers(across), _numbers(both), weights, down, height, _numbers(v_both)
-            spread_adjoint(*given, _numbers(v_across), _numbers(shares))
+            launch(kernel, image.numel(), [*given, _numbers(v_across), _numbers(shares)], device)
         v_sigma = shares.sum()
-        with launches_on_torch_stream(image.device):
+        with launches_on_torch_stream(image.device) as device:
             given = _numbers(image), _numbers(across), weights, along, width, _numbers(v_across)
-            spread_adjoint(*given, _numbers(v_image), _numbers(shares))
+            launch(kernel, image.numel(), [*given, _numbers(v_image), _numbers(shares)], device)
         return v_image, v_sigma + shares.sum(), None
 
 

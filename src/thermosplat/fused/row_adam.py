@@ -11,8 +11,11 @@ from torch import Tensor
 from thermosplat.torch_bridge.arrays import view
 from thermosplat.torch_bridge.host_rows import on_cpu, paired, row_buffer, zero_pair
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.machinery.array_views import ArrayView
-from warp_kernels.training.row_adam import RowAdamArrays, row_adam_update
+from warp_kernels.machinery.array_views import ArrayView, empty
+from warp_kernels.machinery.launching import launch_again
+from warp_kernels.machinery.tensor_tables import BLOCK, addresses
+from warp_kernels.training.adam import adam_coefficients_kernel
+from warp_kernels.training.row_adam import LINE, THREADS, row_adam_kernel
 
 
 class Rows(NamedTuple):
@@ -51,7 +54,7 @@ class RowAdam(torch.optim.Adam):
     """What the step under way has used; None: nothing, and there is no update."""
     rows_on_device: int = 0
     """Rows whose moments lie on the device, if there are as many and it has room for them."""
-    _near: Tensor | None = None
+    near: Tensor | None = None
     """Moments of the first rows, on the device, float32 [R, 2 L] as in ``host_rows.Pair.buffer``."""
 
     @property
@@ -62,7 +65,7 @@ class RowAdam(torch.optim.Adam):
 
     @state.setter
     def state(self, state: defaultdict[Tensor, Any]) -> None:
-        self._near, self._state = None, state
+        self.near, self._state = None, state
 
     @property
     def parameter(self) -> Tensor:
@@ -88,25 +91,26 @@ class RowAdam(torch.optim.Adam):
         moments = paired(state["exp_avg"], state["exp_avg_sq"], parameter.device)
         state["exp_avg"], state["exp_avg_sq"] = moments
         far, numbers = moments.buffer, row_buffer(parameter)
-        if self._near is None:
-            self._near = self._fetched(far)
+        if self.near is None:
+            self.near = self._fetched(far)
         gradient = values if values.grad is None else values.grad.contiguous()  # None: there are no numbers
         number = len(indices)
         used = values.numel() // max(number, 1)
-        with launches_on_torch_stream(blocked.device):
-            arrays = RowAdamArrays(
-                indices=view(indices, wp.int64),
-                values=view(values, wp.float32, number, used),
-                gradient=view(gradient, wp.float32, number, used),
-                parameter=view(numbers, wp.float32, *numbers.shape),
-                near=view(self._near, wp.vec4, len(self._near), far.shape[1] // 4),
-                far=view(far, wp.vec4, len(far), far.shape[1] // 4),
-                length=length,
-                step=_number(state["step"]),
-                rate=_number(group["lr"]),
-            )
-            settings = tuple(group["betas"]), group["eps"], group["weight_decay"]
-            row_adam_update(arrays, _number(blocked), *settings)
+        betas, epsilon, stop = tuple(group["betas"]), group["eps"], _number(blocked)
+        pairs = -(-used // (2 * LINE)) * LINE
+        with launches_on_torch_stream(blocked.device) as device:
+            steps, rates = addresses([_number(state["step"])]), addresses([_number(group["lr"])])
+            coefficients = empty(1, wp.vec3, device)
+            counted = [*betas, group["weight_decay"], rates, stop, steps, coefficients]
+            launch_again(adam_coefficients_kernel, 1, counted, device)
+            inputs = [pairs, used, length, 1.0 - betas[0], betas[1], 1.0 - betas[1], epsilon, stop, coefficients]
+            inputs += [view(indices, wp.int64), view(values, wp.float32, number, used)]
+            inputs += [view(gradient, wp.float32, number, used)]
+            inputs += [view(self.near, wp.vec4, len(self.near), far.shape[1] // 4)]
+            inputs += [view(far, wp.vec4, len(far), far.shape[1] // 4), view(numbers, wp.float32, *numbers.shape)]
+            for first in range(0, number * pairs, THREADS):
+                threads = min(THREADS, number * pairs - first)
+                launch_again(row_adam_kernel, threads, [first, *inputs], device, BLOCK)
 
     def _fetched(self, far: Tensor) -> Tensor:
         """The first rows of a buffer of moments on the device; fewer where it has no room for all of them."""
@@ -120,12 +124,12 @@ class RowAdam(torch.optim.Adam):
     @torch.no_grad()
     def bring_home(self) -> None:
         """Put all moments into the host's memory."""
-        if self._near is None:
+        if self.near is None:
             return
         for state in self._state.values():  # of the one parameter
-            moments = paired(state["exp_avg"], state["exp_avg_sq"], self._near.device)
-            moments.buffer[: len(self._near)].copy_(self._near)
-        self._near = None
+            moments = paired(state["exp_avg"], state["exp_avg_sq"], self.near.device)
+            moments.buffer[: len(self.near)].copy_(self.near)
+        self.near = None
 
     def leave_more_room(self) -> bool:
         """Have moments of half as many rows on the device from now on; of none where they are few.

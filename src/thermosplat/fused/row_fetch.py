@@ -7,7 +7,9 @@ from torch import Tensor
 from thermosplat.torch_bridge.arrays import view
 from thermosplat.torch_bridge.host_rows import has_padded_rows, row_buffer
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.training.row_fetch import fetch_rows
+from warp_kernels.machinery.launching import launch_again
+from warp_kernels.machinery.tensor_tables import BLOCK
+from warp_kernels.training.row_fetch import QUAD, THREADS, row_fetch_kernel
 
 
 @torch.no_grad()
@@ -29,10 +31,11 @@ def fetched_rows(values: Tensor, indices: Tensor, used: int | None = None) -> Te
     fetched = torch.empty((len(indices), used, *values.shape[2:]), device=values.device)
     if fetched.numel() > 0:
         rows, length = row_buffer(values), fetched[0].numel()
-        with launches_on_torch_stream(values.device):
-            fetch_rows(
-                view(indices, wp.int64),
-                view(rows, wp.float32, *rows.shape),
-                view(fetched, wp.float32, len(fetched), length),
-            )
+        quads = -(-length // QUAD)
+        with launches_on_torch_stream(values.device) as device:
+            arrays = [view(indices, wp.int64), view(rows, wp.float32, *rows.shape)]
+            arrays.append(view(fetched, wp.float32, len(fetched), length))
+            for first in range(0, len(fetched) * quads, THREADS):
+                threads = min(THREADS, len(fetched) * quads - first)
+                launch_again(row_fetch_kernel, threads, [first, quads, *arrays], device, BLOCK)
     return fetched

@@ -10,7 +10,8 @@ from torch import Tensor
 from thermosplat.errors import UserError
 from thermosplat.torch_bridge.arrays import LONGEST, kinds_of, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.training.selective_adam import update_visible
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.selective_adam import selective_adam_kernel
 
 
 class SelectiveAdam(torch.optim.Adam):
@@ -70,8 +71,11 @@ class SelectiveAdam(torch.optim.Adam):
         dense = gradient.to_dense() if gradient.is_sparse else gradient.contiguous()
         numbers = (parameter, dense, state["exp_avg"], state["exp_avg_sq"])
         rows = max(1, LONGEST // parameter[0].numel())
-        scalar = kinds_of(parameter.dtype).scalar
-        with launches_on_torch_stream(parameter.device):
+        scalar, (beta1, beta2) = kinds_of(parameter.dtype).scalar, group["betas"]
+        settings = [parameter[0].numel(), float(group["lr"]), 1.0 - beta1, 1.0 - beta2, group["eps"]]
+        with launches_on_torch_stream(parameter.device) as device:
             for parts in zip(visible.split(rows), *(one.split(rows) for one in numbers), strict=True):
-                seen, *arrays = (view(part, kind) for part, kind in zip(parts, (wp.bool, *[scalar] * 4), strict=True))
-                update_visible(*arrays, seen, float(group["lr"]), tuple(group["betas"]), group["eps"])
+                seen, updated, *others = (view(part, kind) for part, kind in zip(parts, (wp.bool, *[scalar] * 4)))
+                gradients, *moments = others
+                inputs = [*settings, seen, gradients, updated, *moments]
+                launch(selective_adam_kernel(scalar), updated.shape[0], inputs, device)

@@ -8,7 +8,8 @@ from torch.autograd.function import once_differentiable
 
 from thermosplat.torch_bridge.arrays import kinds_of, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.training.small_products import multiply
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.small_products import small_product_kernels
 
 
 def warp_small_products(matrices: Tensor, columns: Tensor) -> Tensor:
@@ -41,11 +42,11 @@ def _multiplied(matrices: Tensor, columns: Tensor, *, transposed: bool) -> Tenso
     products = torch.empty_like(columns)
     kinds = kinds_of(columns.dtype)
     number, rows, _ = columns.shape
-    with launches_on_torch_stream(columns.device):
-        multiply(
+    with launches_on_torch_stream(columns.device) as device:
+        inputs = [
             view(matrices, kinds.scalar, number, rows, rows),
             view(columns, kinds.vec3, number, rows),
             view(products, kinds.vec3, number, rows),
-            transposed=transposed,
-        )
+        ]
+        launch(small_product_kernels(kinds.scalar)[transposed], number * rows, inputs, device)
     return products

@@ -118,7 +118,6 @@ def find_lpips(weights: str | Path | None, device: torch.device | str = "cpu") -
     Args:
         weights: File with a torchvision state dict, or a folder with alexnet-owt-*.pth or vgg16-*.pth. None: torch's
             cache, where torchvision puts its downloads; AlexNet is preferred, as in torchmetrics.
-        device: Where to compute.
 
     Returns:
         The metric and its name, or None and, in one line, why there is none.

@@ -32,7 +32,6 @@ def gaussian_penalties(
 
     Args:
         gaussian_sets: By name, the sets that the step trains.
-        config: The weights.
         scene_extent: Radius of the cameras [world units].
         seen: By name of the set, which Gaussians the step sees, bool [N].
         numbers: By name of the set, how many of them all processes see together, scalars; None: this is the only one.

@@ -53,7 +53,6 @@ class ComparedFrame:
     losses: dict[str, Tensor]
     """All weighted terms, scalars; the total is their sum."""
     spectra: dict[str, str]
-    """The spectrum of each term."""
     squared_errors: dict[str, Tensor]
     """Mean squared error of the images clamped to [0, 1], by spectrum; no gradient reaches it."""
 
@@ -81,9 +80,6 @@ def compare_frame(
     A term whose weight is 0, or whose render or target is missing, is not computed and not listed.
 
     Args:
-        rendered: What the model rendered of the frame.
-        frame: The ground truth.
-        config: The weights.
         fused: By Warp's kernels, all in the same few launches, or by ``ssim_map``, which is held to kornia's. None:
             on CUDA the first, on the CPU, where they are faster, the second.
 
@@ -133,7 +129,6 @@ def squared_error(image: Tensor, target: Tensor, mask: Tensor | None = None) -> 
 
     Args:
         image: [H, W, C].
-        target: The same shape.
         mask: bool [H, W], which pixels count; None: all.
     """
     squares = (image.clamp(0.0, 1.0) - target).square()
@@ -146,7 +141,6 @@ def image_terms(rendered: RenderedFrame, frame: "FrameTensors", config: TrainCon
     """The image losses that apply to a frame (equations 10 and 11): first those of images, then those of features.
 
     Args:
-        rendered: The render.
         config: Weights; what has none is left out.
     """
     return _of_images_first(_losses_of_spectra(rendered, frame, config))
@@ -249,7 +243,6 @@ def balanced_losses(
     updates hardly depend on the scale of a loss.)
 
     Args:
-        losses: Weighted terms by name.
         spectra: The spectrum of each term that is one spectrum's.
         num_gaussians: Gaussians by spectrum, whose set it is; two at least.
 

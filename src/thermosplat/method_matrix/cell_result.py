@@ -23,17 +23,12 @@ class CellResult:
     """Quality and cost of one cell."""
 
     scene: str
-    """The scene's name."""
     method: str
-    """The method's name."""
     seed: int
-    """Seed of the training."""
     steps: int
-    """Training steps."""
     spectra: dict[str, Metrics | None]
     """By spectrum "psnr" [dB], "ssim", "lpips" and, of measured values, "mae_<unit>", means over the held-out views."""
     num_gaussians: int
-    """Gaussians in all sets."""
     model_bytes: int
     """All parameters, Gaussians' and decoders', as a checkpoint stores them: see ``SceneModel.num_bytes``."""
     train_minutes: float
@@ -92,10 +87,6 @@ def read_regions(folder: Path, steps: int) -> "Regions | None":
 
 def result_from(values: Any, path: Path) -> CellResult:
     """A cell's result from its JSON object.
-
-    Args:
-        values: The object.
-        path: The file it comes from, for the error message.
 
     Raises:
         UserError: Something is missing, or it is of another version.

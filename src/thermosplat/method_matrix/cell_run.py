@@ -68,7 +68,9 @@ def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) 
         regions=read_regions(folder, metrics["steps"]),
     )
     write_cell(folder, result)  # from here on the cell is finished
-    _drop_checkpoints(trainer.run, keep_last=keep_checkpoint)
+    files = trainer.run.checkpoints()
+    for file in files[:-1] if keep_checkpoint else files:
+        file.unlink()
     return result
 
 
@@ -90,12 +92,6 @@ def _per_view(path: Path) -> list[dict[str, Any]]:
         rows = list(csv.DictReader(file))
     texts = ("frame", "spectrum")
     return [{key: text if key in texts else float(text) if text else None for key, text in row.items()} for row in rows]
-
-
-def _drop_checkpoints(run: RunDirectory, *, keep_last: bool) -> None:
-    files = run.checkpoints()
-    for file in files[:-1] if keep_last else files:
-        file.unlink()
 
 
 LEAST_SECONDS = 1.0

@@ -26,9 +26,7 @@ class Scene:
     """A capture of the matrix."""
 
     name: str
-    """What tables call it."""
     data: str
-    """Its folder, or "sample"."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,9 @@ class Cell:
     """One method on one scene with one seed."""
 
     scene: str
-    """The scene's name."""
     method: str
     """The method's name: its preset, or its YAML file's stem."""
     seed: int
-    """Seed of the training."""
 
     def folder(self, out: Path) -> Path:
         """The cell's run folder in a matrix's folder."""
@@ -109,10 +105,8 @@ def cell_config(
     """The configuration of a cell.
 
     Args:
-        preset: The method's preset or YAML file.
         max_steps: Steps of a method that has 30,000; others in proportion. None: as the method has it.
         save_every: Steps between checkpoints; 0: only the last step's.
-        **changes: Other fields of the configuration.
     """
     config = load_config(preset)
     if max_steps is not None:

@@ -27,13 +27,10 @@ class Matrix:
     """Methods times scenes times seeds, in a folder."""
 
     out: Path
-    """The folder."""
     scenes: Sequence[Scene]
-    """Captures."""
     methods: Mapping[str, str]
     """Preset or YAML file by the method's name."""
     seeds: Sequence[int] = (42,)
-    """Seeds."""
     max_steps: int | None = None
     """Steps of a method that has 30,000, others in proportion."""
     save_every: int = 0
@@ -41,11 +38,8 @@ class Matrix:
     data_factor: int = 1
     """Divide the images' width and height by this."""
     overrides: Sequence[Override] = ()
-    """Settings that differ from the presets."""
     lpips_weights: str | None = None
-    """Backbone weights of LPIPS."""
     keep_checkpoints: bool = True
-    """Keep the last checkpoint of a finished cell."""
 
     def cells(self) -> list[Cell]:
         """All cells, scene by scene, so that the tables are complete for some scenes early."""

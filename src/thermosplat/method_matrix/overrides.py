@@ -35,7 +35,6 @@ class Override:
     """A setting that some cells, or all, shall have."""
 
     word: str
-    """As it was given."""
     cells: str
     """Method, scene or scene/method; empty: every cell."""
     values: dict[str, Any]
@@ -63,8 +62,6 @@ def parse_overrides(words: Iterable[str], scenes: Collection[str], methods: Coll
 
     Args:
         words: [CELLS:]FIELD=VALUE each, with the field as in a YAML file, groups with a dot.
-        scenes: The matrix's scenes.
-        methods: The matrix's methods.
 
     Raises:
         UserError: Another form, cells that are not in the matrix, or a field that the matrix decides.

@@ -33,11 +33,8 @@ class Panels:
     """Pictures of one spectrum of one frame, 8-bit RGB [H, W, 3]."""
 
     truth: Image8
-    """Ground truth."""
     render: Image8
-    """Render."""
     error: Image8
-    """Error map."""
     score: str
     """The render's number, e.g. "24.31 dB"."""
     palette_end: str
@@ -45,7 +42,6 @@ class Panels:
     true_depth: Image8 | None = None
     """Depth of the surface that the spectrum sees; None without ground truth."""
     depth: Image8 | None = None
-    """Rendered depth."""
     depth_range: str = ""
     """What the ends of the depths' palette stand for, e.g. "0.8 to 4.4"."""
 
@@ -61,11 +57,7 @@ def shown_frames(frames: Sequence[Frame]) -> list[Frame]:
 def write_panels(
     folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
 ) -> None:
-    """Render the kept frames and write their pictures.
-
-    Args:
-        folder: The cell's run folder.
-    """
+    """Render the kept frames and write their pictures."""
     index: list[dict[str, Any]] = []
     pictures = plain_folder(folder, FOLDER)
     for frame in shown_frames(capture.test):

@@ -26,9 +26,7 @@ class Job:
     """One process to run."""
 
     title: str
-    """What to call it."""
     command: Sequence[str]
-    """Program and arguments."""
     log: Path
     """Where its output goes, at the end of what is there."""
 
@@ -99,9 +97,6 @@ def run_jobs(
         started: Called with a job and its device when it starts.
         done: Called with a finished job, its device and its exit code.
         time_limit: Seconds from now after which no job starts; those that run then run to their end.
-
-    Returns:
-        The jobs that were not started.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C, SIGTERM or SIGHUP, when all processes have ended.

@@ -18,7 +18,6 @@ class Collection:
     """Captures that were published together."""
 
     title: str
-    """What its authors call it."""
     scenes: Mapping[str, tuple[int, int] | None]
     """Numbers of training and test pairs by the name of the scene's folder; None where they are not known."""
     lacking: Callable[[Path], list[str]]

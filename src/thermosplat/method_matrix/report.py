@@ -16,10 +16,6 @@ from thermosplat.method_matrix.tables.table import Table, write_own_table, write
 def write_report(out: Path, merged: Iterable[Path] = ()) -> list[Table]:
     """Write the report of all finished cells.
 
-    Args:
-        out: The matrix's folder; gets the files.
-        merged: Folders with cells that were made elsewhere.
-
     Returns:
         The tables of tables.md.
 

@@ -19,12 +19,7 @@ def write_sheets(out: Path, scene: str, cells: Mapping[str, Path]) -> list[Path]
     """Write the sheets of a scene: ``sheets/<scene>_<frame>.png``.
 
     Args:
-        out: The matrix's folder.
-        scene: The scene's name.
         cells: Run folder of each method's cell, in the order of the rows; one without pictures is left out.
-
-    Returns:
-        The files.
     """
     panels = {method: read_panels(folder) for method, folder in cells.items()}
     frames = sorted({frame for of_method in panels.values() for frame, _ in of_method})

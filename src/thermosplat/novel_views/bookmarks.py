@@ -48,11 +48,7 @@ class Bookmark:
     """Vertical field of view [degrees], in (0, 180)."""
 
     def in_world(self, placement: Placement) -> "Bookmark":
-        """The view of a scene as files have it.
-
-        Args:
-            placement: Where the scene lies in the world.
-        """
+        """The view of a scene as files have it."""
         return replace(self, viewmat=placement.viewmat_to_world(self.viewmat))
 
     def in_scene(self, placement: Placement) -> "Bookmark":

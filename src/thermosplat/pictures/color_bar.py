@@ -18,7 +18,6 @@ def tick_values(low: float, high: float, most: int = 6) -> list[float]:
     """Round values to mark between two values.
 
     Args:
-        low: The lowest value.
         high: The highest value; ticks go the other way where it is less.
         most: How many ticks there may be, >= 2.
 
@@ -50,9 +49,6 @@ def color_bar(palette: Palette, low: float, high: float, unit: str, height: int)
     """A colour bar on black, to stand beside a picture.
 
     Args:
-        palette: Its colours.
-        low: Value at its lower end.
-        high: Value at its upper end.
         unit: Written above it, such as "°C"; "" for values without one.
         height: Height of the picture [px], at least 60.
 

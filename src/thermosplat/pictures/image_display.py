@@ -34,7 +34,6 @@ def spectrum_bytes(image: NDArray[np.floating], scale: PixelScale, shown: tuple[
 
     Args:
         image: Image, 0 to 1, shape [H, W, 3] or [H, W, 1] as the scale's kind says.
-        scale: What its pixel values mean.
         shown: Values at the palette's ends, of an image of values; None: those that 0 and 1 stand for.
     """
     if scale.channels == 3:

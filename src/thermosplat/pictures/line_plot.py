@@ -22,7 +22,6 @@ def line_plot(title: str, lines: Mapping[str, Line]) -> str:
     """A plot as an ``<svg>`` element; every text in it is escaped.
 
     Args:
-        title: Above the plot.
         lines: By name; those without points are left out.
 
     Returns:

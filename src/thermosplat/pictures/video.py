@@ -29,7 +29,6 @@ def write_images(
         images: 8-bit RGB images, shape [H, W, 3] each, at least one; consumed once. In a video all are fitted into
             the first one's size.
         target: File or folder without a suffix; ``.mp4`` is appended for a video.
-        format: What to write.
         fps: Images a second of the video, >= 1.
         names: Names of the PNGs without ".png", as many as images. None: numbers.
 

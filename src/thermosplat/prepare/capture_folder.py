@@ -52,8 +52,6 @@ class Exif:
         gimbal_roll: The same [°].
         focal_length_mm: Focal length [mm].
         focal_length_35mm: The focal length [mm] with the same field of view on 36x24 mm film.
-        make: Maker of the camera.
-        model: Name of the camera.
         orientation: 1 to 8, how the stored pixels are turned for display.
         iso: Sensitivity of the exposure, which only photographs have.
         digital_zoom: How far the picture was enlarged.

@@ -5,7 +5,6 @@ def counted(number: int, one: str, many: str | None = None) -> str:
     """A number, with thousands separated, and the words for it.
 
     Args:
-        number: How many.
         one: The words for 1, such as "image" or "image has".
         many: The words for every other number; None: ``one`` with an s.
     """

@@ -15,10 +15,6 @@ Item = TypeVar("Item")
 def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
     """Show how far a piece of work has come.
 
-    Args:
-        description: What is being done.
-        total: How many parts it has.
-
     Yields:
         A function that takes the number of parts that have been done since its last call.
     """
@@ -30,13 +26,7 @@ def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]
 
 
 def tracked(items: Iterable[Item], description: str, total: int) -> Iterator[Item]:
-    """Pass items on, and show how far they have come.
-
-    Args:
-        items: The items.
-        description: What is being done with them.
-        total: How many there are.
-    """
+    """Pass items on, and show how far they have come."""
     with progress_bar(description, total) as advance:
         for item in items:
             yield item

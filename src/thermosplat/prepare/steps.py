@@ -28,7 +28,6 @@ class StepReport:
     """What a step found, in sentences for people.
 
     Args:
-        sentences: A line each.
         before: The step was complete already, and nothing was done.
     """
 
@@ -49,7 +48,6 @@ def run_step(
     """Do a step, or repeat what it said if it is complete.
 
     Args:
-        capture: The capture.
         step: One of ``STEPS``.
         work: Does the step and returns what it found, in sentences. It may go on with what an interrupted one left.
         settings: All that decides the result, as plain values.
@@ -58,9 +56,6 @@ def run_step(
         outputs: Files that must be there for the step to be complete.
         restart: Removes what an earlier attempt with other settings or inputs left, so that ``work`` goes on with
             files of its own only. None: ``work`` replaces all of them anyhow.
-
-    Returns:
-        What it found.
     """
     marker, outputs = capture.marker(step), list(outputs)
     wanted = {"settings": json.loads(json.dumps(settings)), "inputs": fingerprint(inputs)}

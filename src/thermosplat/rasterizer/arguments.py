@@ -87,9 +87,6 @@ def remembered(check: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
 def refuse_unsupported(**arguments: Any) -> None:
     """Raises for arguments of ``IN_PLACE`` that were given.
 
-    Args:
-        **arguments: By name.
-
     Raises:
         UserError: naming the argument and what there is.
     """
@@ -111,7 +108,6 @@ def check_choice(name: str, value: Any) -> None:
 
     Args:
         name: of the argument; what is none of them is a degree of spherical harmonics.
-        value: what was given, a whole number as Python's.
 
     Raises:
         UserError: naming the argument, what is supported, and what was given.
@@ -137,10 +133,6 @@ def checked_choice(name: str, value: Any) -> Any:
 def check_is_dense(name: str, tensor: Any) -> None:
     """Checks that an argument is a tensor whose numbers lie in memory.
 
-    Args:
-        name: of the argument.
-        tensor: what was given.
-
     Raises:
         UserError: naming the argument and what was found.
     """
@@ -153,13 +145,6 @@ def check_is_dense(name: str, tensor: Any) -> None:
 
 def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, meaning: str = "") -> None:
     """Checks a tensor's type, shape, dtype and device against the means'.
-
-    Args:
-        name: of the argument.
-        tensor: what was given.
-        shape: what it must have.
-        means: the tensor that fixes dtype and device.
-        meaning: the shape in letters, for the message.
 
     Raises:
         UserError: naming the argument, what was expected and what was found.
@@ -184,10 +169,6 @@ def check_shape(name: str, tensor: Any, shape: tuple[int, ...], means: Tensor, m
 
 def check_scene(splats: Splats, cameras: Cameras) -> None:
     """Checks Gaussians and cameras.
-
-    Args:
-        splats: as given.
-        cameras: as given.
 
     Raises:
         UserError: naming the argument, what was expected and what was found.
@@ -240,7 +221,6 @@ def check_color_choice(colors: Any, sh_degree: int | None, render_mode: str) -> 
     Args:
         colors: of any kind, or None.
         sh_degree: active degree or None.
-        render_mode: one of them.
 
     Raises:
         UserError: saying what goes together.
@@ -275,8 +255,6 @@ def checked_settings(splats: Splats, cameras: Cameras, drawn: Drawn) -> tuple[Pr
     """Checks what is projected, and how, and gives the projection's settings.
 
     Args:
-        splats: as given.
-        cameras: as given.
         drawn: as given; the values are not looked at.
 
     Returns:

@@ -34,9 +34,6 @@ def grouped(
         sh_degree: Active degree; None: values are blended as they are, in one group.
         means: [..., N, 3], whose type and scenes coefficients get.
         clamped: As in ``BlendedValues``.
-
-    Returns:
-        The groups in order, by name.
     """
     if sh_degree is None:
         return {name: BlendedValues(values, None, clamped)}
@@ -84,7 +81,6 @@ def check_values(name: str, values: Any, sh_degree: int | None, means: Tensor, c
     """Checks what is blended.
 
     Args:
-        name: of the argument.
         values: as in ``BlendedValues``.
         sh_degree: likewise.
         means: [..., N, 3].

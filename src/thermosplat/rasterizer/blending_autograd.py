@@ -118,18 +118,6 @@ class BlendSaved(NamedTuple):
     rest: Any
 
 
-class BlendGradients(NamedTuple):
-    """Gradients to what ``Blend`` takes."""
-
-    means2d: Tensor
-    roots: Tensor
-    opacities: Tensor
-    thermal_opacities: Tensor | None
-    features: Tensor
-    rest: Tensor | None
-    inputs: None = None
-
-
 class ImageTensors(NamedTuple):
     """The images that are blended with one opacity, [..., C, H, W, channels]."""
 
@@ -216,21 +204,21 @@ class Blend(torch.autograd.Function):
         added = by_slot or _sums_apart(ctx)
         like = torch.zeros_like if added else torch.empty_like
         new = means2d.new_zeros if added else means2d.new_empty
-        found = BlendGradients(
+        found: list[Tensor | None] = [
             like(means2d),
             new(*saved.packed_roots.shape[:-1], 3),
             like(saved.opacities),
             None if thermal_opacities is None else like(thermal_opacities),
             _gradient_of_features(features, by_slot),
             None if rest is None else _gradient_of_features(rest, by_slot),
-        )
+        ]
         absolute = None if shown_means2d is None else torch.zeros_like(means2d)
         v_alphas = v.alphas
         if v.transmittance is not None:
             v_alphas = -v.transmittance if v_alphas is None else v_alphas - v.transmittance
         inputs = (projected.means2d, projected.roots, *arrays[2:])
         with launches_on_torch_stream(means2d.device):
-            for array, gradient in zip(inputs, found[:-1], strict=True):
+            for array, gradient in zip(inputs, found, strict=True):
                 if gradient is not None:
                     array.gradient_at(gradient.data_ptr())
             lend(blended.transmittance, v_alphas)
@@ -249,7 +237,7 @@ class Blend(torch.autograd.Function):
         if absolute is not None:  # added up as .grad is: a call with many channels blends several times
             earlier = getattr(shown_means2d, "absgrad", None)
             shown_means2d.absgrad = absolute if earlier is None else earlier + absolute
-        return found
+        return *found, None
 
 
 def _sums_apart(ctx: Any) -> bool:

@@ -56,7 +56,6 @@ class CamerasOfRanks:
     """The cameras of all ranks, rank 0's first."""
 
     counts: list[int]
-    """Cameras of each rank."""
     kinds: list[CameraKind]
     """Of each camera, [C_world]."""
     most_gaussians: int
@@ -118,9 +117,7 @@ def cameras_of_ranks(
     Args:
         viewmats: This rank's, [C, 4, 4].
         Ks: Their intrinsics, [C, 3, 3].
-        kind: What they have in common.
         lenses: Their lenses and motions; None where the kind has none.
-        num_gaussians: On this rank.
 
     Raises:
         UserError: No rank has a camera.

@@ -51,8 +51,6 @@ class Exchange(torch.autograd.Function):
         """What arrives, each [C · seen, width]; rows that nothing arrives for are zero.
 
         Args:
-            ctx: What the backward pass reads.
-            route: Which rows go where.
             absolute: Sums that travel back with the gradients.
             num_carried: The last tensors, so many, get no gradient.
             wider: By the number of a tensor, the table whose first columns it is, [C_world · N, width + more]. All of

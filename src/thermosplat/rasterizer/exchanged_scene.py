@@ -39,10 +39,8 @@ def scene_among_ranks(
     """What this rank's cameras see of the Gaussians of all ranks.
 
     Args:
-        make: Projects this rank's Gaussians.
         own: This rank's cameras, [C, 4, 4] and [C, 3, 3], checked; there may be none.
         kind: What they have in common; other ranks may have others.
-        num_gaussians: On this rank.
 
     Raises:
         UserError: No rank has a camera.

@@ -16,9 +16,6 @@ def not_compiled(function: Function) -> Function:
     """``torch.compiler.disable`` for a function, without importing the compiler, which takes longer than torch itself.
 
     Whoever compiles has imported it; until then there is nothing to disable.
-
-    Returns:
-        The function, called as it is by compiled code.
     """
 
     @functools.wraps(function)

@@ -221,12 +221,7 @@ def num_nonfinite(
     Args:
         inputs: each with its number of values per Gaussian; scene by scene, in each Gaussian by Gaussian, or camera by
             camera and then Gaussian by Gaussian.
-        cameras: view matrices and intrinsics, scene by scene.
-        scenes: number of scenes.
         num_gaussians: N, Gaussians of a scene.
-
-    Returns:
-        The number.
     """
     if scenes * num_gaussians == 0:
         return 0
@@ -258,9 +253,6 @@ def clear_unseen(tensor: Tensor, visible: Tensor) -> Tensor:
     Args:
         tensor: [...] or [..., 2], changed in place.
         visible: bool [...].
-
-    Returns:
-        The tensor.
     """
     unseen = ~(visible if tensor.dim() == visible.dim() else visible[..., None])
     tensor.data.masked_fill_(unseen, 0.0)

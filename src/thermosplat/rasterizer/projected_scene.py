@@ -229,15 +229,11 @@ def tile_lists(
         opacities: [images · N], compensation included.
         thermal_opacities: [images · N]; the same array where there is one opacity.
         features: [images · N, D].
-        settings: image size.
         tile_size: edge of a tile [px].
         rest: [images · N, D'], channels that lie apart from those; None: there are no others.
         room: of the lists; None: the number of pairs is read back from the device.
         deterministic: number the pairs, so that the adjoint sums in the same order every time; always on the CPU.
         note: told how many pairs there are (``PairCapacity.note``) before they are listed.
-
-    Returns:
-        The lists.
 
     Raises:
         UserError: if a CUDA graph is captured without a ``room``, or there are too many pairs to number.

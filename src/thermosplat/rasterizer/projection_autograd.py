@@ -112,20 +112,6 @@ class ProjectSaved(NamedTuple):
     leads: Any
 
 
-class ProjectGradients(NamedTuple):
-    """Gradients to what ``Project`` takes, in front of those to the coefficients."""
-
-    means: Tensor | None
-    quats: Tensor | None
-    scales: Tensor | None
-    covars: Tensor | None
-    viewmats: Tensor | None
-    Ks: Tensor | None
-    lenses: Tensor | None
-    motions: Tensor | None
-    inputs: None = None
-
-
 class Project(torch.autograd.Function):
     """Projection, and colours in the view directions; see ``plain_camera_step`` and ``color_step``.
 
@@ -253,8 +239,7 @@ class Project(torch.autograd.Function):
                     take_back(lens.coefficients, lens.motions)
         take_back(g.means, g.quats, g.scales, g.covars, g.viewmats, g.Ks)
         take_back(p.means2d, p.depths, p.roots, p.compensations)
-        v_cameras = (v_viewmats, v_Ks, v_lenses, v_motions)
-        return *ProjectGradients(v_means, v_quats, v_scales, v_covars, *v_cameras), *v_coefficients
+        return v_means, v_quats, v_scales, v_covars, v_viewmats, v_Ks, v_lenses, v_motions, None, *v_coefficients
 
 
 def _write_to(array: ArrayView | None, gradient: Tensor | None) -> None:

@@ -64,14 +64,9 @@ def blend_along_rays(
     """Blends features, and what rays know of Gaussians, in the order and the tiles of a projection.
 
     Args:
-        scene: The projection.
-        splats: Its Gaussians, with quats and scales.
         cameras: Its cameras, of which rays are made where none are given.
         features: [images · N, D].
-        chunk: So many channels are blended at a time.
         rays: Origin and direction of every pixel, [..., C, H, W, 6]; or None.
-        hits: Blend the distances to the Gaussians.
-        normals: Blend the Gaussians' third axes.
 
     Raises:
         UserError: the rays have the wrong shape.
@@ -130,7 +125,8 @@ class BlendRays(torch.autograd.Function):
         """Images of features, distances, axes and transmittance."""
         settings, lead = inputs.scene.settings, directions.shape[:-1]
         ctx.inputs, ctx.settings = None, settings
-        ctx.variant = _variant(features, inputs)
+        scalar = kinds_of(features.dtype).scalar
+        ctx.variant = RayVariant(features.shape[-1], inputs.hits, inputs.normals, scalar)
         ctx.counts = _counts(inputs)
         ctx.tile_lists = inputs.lists.tensors["gaussian_ids"], inputs.lists.tensors["tile_offsets"]
         render = means.new_empty((*lead, features.shape[-1]))
@@ -175,10 +171,6 @@ class BlendRays(torch.autograd.Function):
             kernel = ray_blend_adjoint_kernel(ctx.variant)
             launch_again(kernel, last_pairs.numel(), [*ctx.counts, *read, *given, *written], device)
         return v_origins.to(tensors[0].dtype), v_directions, *found, None
-
-
-def _variant(features: Tensor, inputs: RayInputs) -> RayVariant:
-    return RayVariant(features.shape[-1], inputs.hits, inputs.normals, kinds_of(features.dtype).scalar)
 
 
 def _counts(inputs: RayInputs) -> list[int]:

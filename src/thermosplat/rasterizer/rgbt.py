@@ -76,6 +76,7 @@ def rasterization_rgbt(
 
     ThermoSplat's two rasterization passes (docs/method.md, equations 1 and 2): equal to ``rasterization`` of colours
     and features at ``opacities`` and of features at ``thermal_opacities``, with one projection and one sorted list.
+    The other arguments are those of ``rasterization``.
 
     Args:
         means: Centres, [..., N, 3], world units.
@@ -90,26 +91,9 @@ def rasterization_rgbt(
         Ks: Intrinsics, [..., C, 3, 3], px.
         width: Image width [px].
         height: Image height [px].
-        near_plane: As in ``rasterization``.
-        far_plane: As in ``rasterization``.
-        radius_clip: As in ``rasterization``.
-        eps2d: As in ``rasterization``.
-        sh_degree: As in ``rasterization``.
         features_sh_degree: As ``sh_degree``, for ``features``.
-        tile_size: As in ``rasterization``.
         backgrounds: Colours behind ``colors`` only, [..., C, D] (D = 3 with ``sh_degree``).
         absgrad: As in ``rasterization``; both passes are one traversal where D + 2 d channels are at most 32.
-        rasterize_mode: As in ``rasterization``.
-        camera_model: As in ``rasterization``.
-        with_ut: As in ``rasterization``.
-        radial_coeffs: As in ``rasterization``.
-        tangential_coeffs: As in ``rasterization``.
-        thin_prism_coeffs: As in ``rasterization``.
-        ftheta_coeffs: As in ``rasterization``.
-        rolling_shutter: As in ``rasterization``.
-        viewmats_rs: As in ``rasterization``.
-        deterministic: As in ``rasterization``.
-        distributed: As in ``rasterization``.
 
     Returns:
         The five images and the info dictionary. The gradient of ``info["means2d"]`` is the sum over both passes.

@@ -24,7 +24,6 @@ class Departure(NamedTuple):
     """Rows that leave for a camera."""
 
     rank: int
-    """The camera's."""
     numbers: Tensor
     """int32 [n], which of this rank's C_world · N rows. -1: none, a row of zeros goes in its place."""
     places: Tensor
@@ -45,7 +44,6 @@ class Route:
     """Which rows go where."""
 
     rank: int
-    """This one."""
     numbers: Tensor
     """int32 [n], the rows that this rank sends, camera by camera. See ``Departure``."""
     places: Tensor
@@ -89,7 +87,6 @@ def route_of_seen(visible: Tensor, cameras: Sequence[int]) -> Route:
 
     Args:
         visible: bool [C_world, N].
-        cameras: Cameras of each rank.
     """
     rank, edges = dist.get_rank(), list(pairwise([0, *accumulate(cameras)]))
     counts = [of_rank.tolist() for of_rank in tensors_of_all(visible.sum(dim=1))]  # [W][C_world]
@@ -109,7 +106,6 @@ def route_in_room(visible: Tensor, cameras: Sequence[int], room: int) -> Route:
 
     Args:
         visible: bool [C_world, N].
-        cameras: Cameras of each rank.
         room: Gaussians of a rank before a camera; the same number on every rank.
     """
     rank = dist.get_rank()

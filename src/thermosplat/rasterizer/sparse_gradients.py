@@ -11,12 +11,10 @@ from thermosplat.rasterizer.call_inputs import Splats
 
 
 def check_sparse_gradients(means: Tensor, *, packed: bool, distributed: bool) -> None:
-    """Checks that a call may have sparse gradients.
+    """Checks that a call may have sparse gradients. The other arguments are those of ``rasterization``.
 
     Args:
         means: [N, 3].
-        packed: As in ``rasterization``.
-        distributed: As in ``rasterization``.
 
     Raises:
         UserError: gsplat has none for such a call, and neither have we.

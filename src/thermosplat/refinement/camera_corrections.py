@@ -55,7 +55,6 @@ class SharedCamera:
     """A camera that took many frames."""
 
     spectrum: str
-    """Its spectrum."""
     camera: Camera
     """Its intrinsics, as the capture has them."""
 
@@ -81,7 +80,6 @@ class CameraCorrections(nn.Module):
         image_width: Width of the images of the first camera [px]: learning rates are shares of it.
 
     Args:
-        refined: What is learnt.
         capture: The capture; its training frames are corrected, and its points seen.
         spectra: Names of the modelled spectra, in order.
     """
@@ -101,12 +99,12 @@ class CameraCorrections(nn.Module):
         self.cameras = nn.Parameter(torch.zeros(len(self.shared), SIZE))
         self.velocity: Tensor
         self.register_buffer("velocity", torch.zeros(len(self.shared), SIZE))
-        self._pose_basis: Tensor
-        self._camera_basis: Tensor
+        self.pose_basis: Tensor
+        self.camera_basis: Tensor
         self._centers: Tensor
         self._cameras_of: Tensor
-        self.register_buffer("_pose_basis", self._pose_bases(frames, capture.points), persistent=False)
-        self.register_buffer("_camera_basis", self._camera_bases(frames, capture.points), persistent=False)
+        self.register_buffer("pose_basis", self._pose_bases(frames, capture.points), persistent=False)
+        self.register_buffer("camera_basis", self._camera_bases(frames, capture.points), persistent=False)
         centers = np.stack([_center(frame) for frame in frames])
         self.register_buffer("_centers", torch.tensor(centers, dtype=torch.float32), persistent=False)
         number = {camera: k for k, camera in enumerate(self.shared)}
@@ -116,7 +114,7 @@ class CameraCorrections(nn.Module):
         ]
         self.register_buffer("_cameras_of", torch.tensor(cameras_of), persistent=False)
         beyond = [shared.spectrum != self.spectra[0] for shared in self.shared]
-        changes = (self._camera_basis.diagonal(dim1=1, dim2=2) > 0).tolist()
+        changes = (self.camera_basis.diagonal(dim1=1, dim2=2) > 0).tolist()
         self._free = [[place for place, free in enumerate(row) if free] for row in changes]
         self.registered = tuple(k for k, (other, free) in enumerate(zip(beyond, self._free)) if other and free)
         learnt = torch.tensor([k not in self.registered for k in range(len(self.shared))])
@@ -134,13 +132,13 @@ class CameraCorrections(nn.Module):
 
     def pose_motions(self) -> Tensor:
         """(r, t) of every frame, shape [F, 6]; their mean is zero."""
-        motions = (self._pose_basis @ self.poses[:, :, None])[:, :, 0]
+        motions = (self.pose_basis @ self.poses[:, :, None])[:, :, 0]
         return motions - motions.mean(dim=0)
 
     def camera_corrections(self) -> Tensor:
         """θ of every camera, shape [L, 9]."""
         cameras = torch.where(self._learnt, self.cameras, self.cameras.detach())
-        return (self._camera_basis @ cameras[:, :, None])[:, :, 0]
+        return (self.camera_basis @ cameras[:, :, None])[:, :, 0]
 
     def frames_of(self, number: int) -> Sequence[int]:
         """Indices of the training frames that a camera took."""
@@ -154,19 +152,15 @@ class CameraCorrections(nn.Module):
         """Orthonormal directions of a camera's free coordinates, shape [free, n].
 
         Args:
-            number: The camera.
             distortion: All of them; else those that leave k1 and k2 as they are.
         """
         free = self._free[number]
-        basis = self._camera_basis[number][free][:, free]
+        basis = self.camera_basis[number][free][:, free]
         kept = [place for place, name in enumerate(free) if distortion or name < COEFFICIENTS.start]
         return torch.linalg.qr(torch.linalg.inv(basis)[:, kept])[0]
 
     def forward(self, frame: FrameTensors) -> FrameTensors:
         """A training frame with its cameras corrected; no value is read back.
-
-        Args:
-            frame: The frame; it knows its index.
 
         Returns:
             The frame, through whose cameras gradients reach the corrections.
@@ -202,7 +196,7 @@ class CameraCorrections(nn.Module):
 
     def _corrected(self, spectrum: str, view: ViewTensors, correction: Tensor) -> ViewTensors:
         """A view with rig, focal lengths and distortion corrected by θ, shape [9]."""
-        if self._moves(spectrum):
+        if RIG in self.refined and spectrum != self.spectra[0]:
             view = moved_camera(view, correction[MOTION], self.scene_extent)
         if spectrum in self.zoomed:
             view = with_focal_factor(view, correction[FOCAL])
@@ -211,10 +205,6 @@ class CameraCorrections(nn.Module):
         elif DISTORTION in self.refined:
             view = replace(view, distortion=correction[COEFFICIENTS])
         return view
-
-    def _moves(self, spectrum: str) -> bool:
-        """Whether the rig moves the cameras of a spectrum."""
-        return RIG in self.refined and spectrum != self.spectra[0]
 
     def _pose_bases(self, frames: Sequence[Frame], points: NDArray[np.float32]) -> Tensor:
         """P of every frame's pose, shape [F, 6, 6]."""

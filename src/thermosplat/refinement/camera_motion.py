@@ -21,7 +21,6 @@ def moved_frame(
     """All cameras of a frame, moved as one: a point x of theirs goes to R (x - center) + center + t.
 
     Args:
-        views: The cameras by spectrum.
         motion: (r, t), shape [6].
         center: The point about which they turn [world units], shape [3].
         scene_extent: Radius of the scene [world units], the unit of t.
@@ -36,7 +35,6 @@ def moved_camera(view: ViewTensors, motion: Tensor, scene_extent: float) -> View
     """A camera moved in its own axes: what it sees at x is now at R(r) x + t.
 
     Args:
-        view: The camera.
         motion: (r, t), shape [6].
         scene_extent: Radius of the scene [world units], the unit of t.
     """
@@ -47,7 +45,6 @@ def with_focal_factor(view: ViewTensors, logarithm: Tensor) -> ViewTensors:
     """A camera with both focal lengths multiplied.
 
     Args:
-        view: The camera.
         logarithm: Of the factor, scalar.
     """
     factor, one = logarithm.exp(), torch.ones_like(logarithm)
@@ -86,7 +83,6 @@ def seen_points(view: ViewTensors, points: Tensor) -> Tensor:
     """Where a camera sees points [px], shape [M, 2].
 
     Args:
-        view: The camera.
         points: Points before it [world units], shape [M, 3].
     """
     camera = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]

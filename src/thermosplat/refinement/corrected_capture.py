@@ -20,10 +20,6 @@ def corrected_capture(capture: Capture, corrections: CameraCorrections) -> Captu
 
     Training frames get all corrections. Held-out frames have no pose of their own that was learnt, only those of the
     rig and the lenses (``held_out_poses``).
-
-    Args:
-        capture: The capture that the corrections were learnt on.
-        corrections: What was learnt.
     """
     exact = deepcopy(corrections).cpu().double()
     numbers = {frame.name: k for k, frame in enumerate(capture.training_frames(corrections.spectra))}

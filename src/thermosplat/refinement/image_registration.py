@@ -132,9 +132,7 @@ def register_cameras(
     Args:
         model: The scene, or this rank's share of it; it stays as it is.
         corrections: Whose cameras move, in place.
-        frames: The training frames.
         turn: Number of the round; it says which frames are looked at.
-        sharpness: How images are compared.
         team: The ranks that share the scene, all of which take the same step; None: there is one.
     """
     rank, ranks = (0, 1) if team is None else (team.rank, team.size)

@@ -57,7 +57,6 @@ def normal_matrix(corrected: Callable[[Tensor], ViewTensors], size: int, points:
 
     Args:
         corrected: The camera for a correction, shape [size], float64.
-        size: Numbers of a correction.
         points: What it sees, shape [M, 3], float64.
 
     Returns:

@@ -108,7 +108,6 @@ def plain_folder(root: Path, *names: str) -> Path:
 
     Args:
         root: A folder that is trusted to lead where it shall; it may be a link.
-        names: The folders below it.
 
     Raises:
         NotWrittenError: One of them is a link or a file, or cannot be made.

@@ -41,7 +41,6 @@ class SavedModel:
     """The scene (``SceneModel.checkpoint_state``)."""
 
     gaussian_sets: dict[str, dict[str, torch.Tensor]]
-    """Parameters of each set, packed."""
     decoders: dict[str, torch.Tensor] | None
     """Of the pixel-wise networks; None where there are none."""
     color_spaces: dict[str, Any]
@@ -59,7 +58,6 @@ class SavedTraining:
     optimizers: dict[str, dict[str, Any]] | None = None
     """States of the optimizers, by owner and parameter; None of a trimmed model."""
     strategies: dict[str, dict[str, Any]] | None = None
-    """Of density control, by set of Gaussians."""
     exposures: dict[str, torch.Tensor] | None = None
     """Colour changes of the training views; None where no spectrum has them."""
     corrections: dict[str, torch.Tensor] | None = None
@@ -85,7 +83,6 @@ class SavedTraining:
     noise_watch: dict[str, Any] | None = None
     """How far noisy images are fitted and may be (``NoiseWatch.state_dict``); None where no spectrum has a floor."""
     seconds: dict[str, float] | None = None
-    """Where the time went."""
     missing: tuple[str, ...] = ()
     """What there must be to train further and is not there."""
 
@@ -95,17 +92,13 @@ class Checkpoint:
     """A run after a whole number of steps."""
 
     step: int
-    """Training steps done."""
     config: TrainConfig
-    """The resolved configuration."""
     sh_degree: int
     """Highest degree of the spherical harmonics in use."""
     model: SavedModel
-    """The scene."""
     scales: dict[str, dict[str, Any]]
     """What pixel values mean, by spectrum (``PixelScale.state_dict``)."""
     training: SavedTraining
-    """What only training needs."""
     train_frames: list[str] | None = None
     """Names of the frames it was trained on; None: it does not say."""
     test_frames: list[str] | None = None
@@ -132,10 +125,6 @@ class Checkpoint:
     @classmethod
     def from_state(cls, state: dict[str, Any], path: Path) -> "Checkpoint":
         """The inverse of ``state``. Every entry is there and of its kind; what is in tensors is not looked at.
-
-        Args:
-            state: The content of a file of today's format.
-            path: The file, for messages.
 
         Raises:
             UserError: An entry is missing, or is something else than it must be.

@@ -43,11 +43,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> Path:
     """Write a checkpoint, atomically.
 
     Args:
-        path: The file to write.
         state: Its content (``Checkpoint.state``).
-
-    Returns:
-        The file.
 
     Raises:
         NotWrittenError: If the file cannot be written.
@@ -93,13 +89,6 @@ def num_stored_bytes(state: Any) -> int:
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Checkpoint:
     """Read a checkpoint.
-
-    Args:
-        path: A file that :func:`save_checkpoint` wrote.
-        device: Where its tensors go.
-
-    Returns:
-        The checkpoint.
 
     Raises:
         UserError: If there is no such file, it is damaged, not a checkpoint that this version reads, or holds another

@@ -16,8 +16,6 @@ def read_document(path: Path, what: str, version: int, hint: str) -> dict[str, A
 
     Args:
         what: What it holds, such as "bookmarks"; its "format" is "thermosplat-bookmarks".
-        version: Its "version".
-        hint: For all errors.
 
     Raises:
         UserError: It cannot be read, or is something else.

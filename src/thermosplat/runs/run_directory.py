@@ -67,7 +67,6 @@ class RunDirectory:
 
         Args:
             path: The result folder; made where there is none. Files that no run wrote are left alone.
-            overwrite: Delete what an earlier run left there.
 
         Raises:
             UserError: If the folder already holds a run, or is a file.
@@ -300,7 +299,6 @@ class RunDirectory:
         """Write a JSON file, atomically.
 
         Args:
-            path: Where in the run folder.
             value: Plain types. Numbers that are not finite become null: JSON has none.
         """
         text = json.dumps(finite_or_null(value), indent=2, allow_nan=False) + "\n"

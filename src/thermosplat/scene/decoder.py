@@ -82,7 +82,6 @@ def decode_in_parts(decode: Decode, inputs: Mapping[str, Tensor]) -> dict[str, T
     """The decoded images of some spectra, as ``decode`` gives them.
 
     Args:
-        decode: A decoder's.
         inputs: What they take by spectrum, at least one, all of shape [H, W, d].
     """
     height, width = next(iter(inputs.values())).shape[:2]
@@ -106,7 +105,6 @@ class Decoders(Decoder):
         heads: By spectrum, hidden -> channels, linear; a sigmoid follows.
 
     Args:
-        config: Widths and ablation switches.
         feature_dim: Channels d of the rendered features, >= 1.
         spectra: What is decoded, in order.
     """
@@ -167,7 +165,6 @@ class SpectrumDecoders(Decoder):
         networks: By spectrum.
 
     Args:
-        config: Widths.
         input_dim: Channels of a pixel's input, >= 1.
         spectra: What is decoded, in order.
     """

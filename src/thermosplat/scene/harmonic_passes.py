@@ -28,13 +28,7 @@ def blend_harmonics(
     Args:
         sets: Gaussians by name, "shared" or a spectrum's.
         spectra: The spectra, in the model's order.
-        view: Their camera and pose.
-        rendering: How.
-        rendered: Takes what rasterizations say about their calls.
         leading: The model's first spectrum, whose harmonics the first pass of a shared set has.
-
-    Returns:
-        What was blended, by spectrum.
     """
     blended: dict[str, Blended] = {}
     rest = list(spectra)

@@ -37,8 +37,6 @@ def initial_gaussians(config: TrainConfig, capture: "Capture", formations: Forma
 
     Args:
         config: Says which sets there are, what they hold, and the seed of the random features.
-        capture: Gives the sparse points.
-        formations: Those of the model's spectra.
 
     Returns:
         On the CPU: "shared", or one set by the name of each spectrum.
@@ -75,11 +73,6 @@ def _lie_close(config: TrainConfig, capture: "Capture", distances: NDArray[np.fl
 
 
 def sets_of(config: ModelConfig, formations: Formations) -> dict[str, list[Formation]]:
-    """The formations of the spectra that each set of Gaussians renders, by the set's name.
-
-    Args:
-        config: Says which sets there are.
-        formations: Those of the model's spectra.
-    """
+    """The formations of the spectra that each set of Gaussians renders, by the set's name."""
     every = {name: formations[name] for name in formations.spectra}
     return {SHARED: list(every.values())} if config.gaussian_sets == SHARED else {name: [every[name]] for name in every}

@@ -22,7 +22,6 @@ def bent(slopes: Tensor, view: "ViewTensors") -> Tensor:
 
     Args:
         slopes: Shape [..., 2].
-        view: The view, whose lens is read.
 
     Returns:
         Shape [..., 2].
@@ -35,7 +34,6 @@ def straightened(slopes: Tensor, view: "ViewTensors") -> Tensor:
 
     Args:
         slopes: Bent slopes, shape [..., 2].
-        view: The view, whose lens is read.
 
     Returns:
         Shape [..., 2].

@@ -163,9 +163,6 @@ class SceneModel(nn.Module):
             shaped_by: Spectra whose images shape a shared set. From those of the others, where they have cameras of
                 their own, no gradient reaches means, quats, scales and opacities, and density control sees nothing.
                 None: all shape it.
-
-        Returns:
-            The images.
         """
         views = {name: self.seen(views[name]) for name in self.spectra if name in views}
         backgrounds = self.background[None] if self._has_background else None

@@ -42,9 +42,6 @@ class OffloadedParameter(nn.Parameter):
 
         Args:
             values: float32, anywhere.
-            device: The device that trains it.
-            on_host: Whether the numbers lie in the host's memory.
-            requires_grad: Whether it is trained.
         """
         values = values.detach()
         made = cls(in_host_rows(values, device) if on_host else values.to(device), requires_grad)
@@ -68,7 +65,6 @@ def can_be_offloaded(name: str, parameter: Tensor) -> bool:
     """Whether a parameter has long rows that only Gaussians in view need.
 
     Args:
-        name: Its name in a set of Gaussians.
         parameter: Its values, [N, ...].
     """
     return (name == "features" or is_band(name)) and parameter.numel() > 0
@@ -79,7 +75,6 @@ def offload(gaussians: Gaussians, device: torch.device, *, parameters: bool) -> 
 
     Args:
         gaussians: A set of Gaussians, that no optimizer knows yet.
-        device: The device that trains it.
         parameters: Move the parameters themselves, too; else their moments alone will lie there.
     """
     for name, parameter in list(gaussians.named_parameters()):
@@ -111,7 +106,6 @@ class GaussiansInView(Gaussians):
             only the coefficients in use.
 
     Args:
-        gaussians: The set.
         sh_degree: Highest degree of the spherical harmonics in use.
     """
 

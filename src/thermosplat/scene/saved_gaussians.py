@@ -21,11 +21,6 @@ def restored_sets(
 ) -> dict[str, Gaussians]:
     """All sets of Gaussians of a scene, by name, as a checkpoint has them.
 
-    Args:
-        packed: Parameters of each set.
-        config: The run's configuration.
-        formations: Those of its model's spectra.
-
     Raises:
         KeyError: It lacks a set or a parameter.
         ValueError: As ``restored_gaussians``.
@@ -41,7 +36,6 @@ def restored_gaussians(packed: Mapping[str, Tensor], config: TrainConfig, format
 
     Args:
         packed: Their parameters (``packed_parameters.pack``).
-        config: The run's configuration.
         formations: Of the spectra that the set renders, in order.
 
     Raises:

@@ -14,9 +14,6 @@ def views_by_camera(views: Mapping[str, "ViewTensors"]) -> list[list[str]]:
     """Spectra in groups whose views have one camera, pose and size.
 
     Reads values back from the device; ``Frame.shared_cameras`` says the same of a capture's frame beforehand.
-
-    Args:
-        views: The cameras by spectrum.
     """
     groups: list[list[str]] = []
     for name, view in views.items():

@@ -44,7 +44,6 @@ class Rendering(NamedTuple):
     backgrounds: Tensor | None
     """Colour behind the SH colours of photographs, [1, 3]."""
     deterministic: bool = False
-    """As the rasterizer's."""
     geometry_held: bool = False
     """No gradient of this rasterization reaches means, quats, scales and opacities. ``render_view`` alone can do so."""
     depth_spread_limit: float | None = None
@@ -107,10 +106,8 @@ def render_view(
     """One image by one plain rasterization.
 
     Args:
-        gaussians: The set.
         colors: Features [N, X], or spherical harmonics (X = 3).
         logit_opacities: Logits of either opacity of the set, [N].
-        view: Camera and pose.
         rendering: How; its background is not used.
         backgrounds: Colour behind the Gaussians, [1, X].
 
@@ -147,10 +144,7 @@ def render_view_surface(
     """Median z-depth [world units], 0 where nothing is drawn, and where a half is covered (``covered_depths``), [H, W].
 
     Args:
-        gaussians: The set.
         logit_opacities: Logits of either opacity of the set, [N].
-        view: Camera and pose.
-        rendering: How.
     """
     scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
     means: Tensor = gaussians.means
@@ -166,10 +160,7 @@ def render_view_depth(
     """Mean z-depth Σ w z / Σ w [world units], [H, W]; 0 where nothing is drawn. Differentiable.
 
     Args:
-        gaussians: The set.
         logit_opacities: Logits of either opacity of the set, [N].
-        view: Camera and pose.
-        rendering: How.
     """
     scales, opacities = _scales_and_opacities(gaussians, logit_opacities)
     means: Tensor = gaussians.means
@@ -200,11 +191,8 @@ def render_two_opacities(
     """SH colours and features at α, and the features at a second opacity where asked, in one traversal.
 
     Args:
-        gaussians: The set.
         second: Spectrum at whose opacity the features are rendered too; None: at α alone.
         features: Features [N, d], or a second spectrum's spherical harmonics (d = 3).
-        view: Camera and pose.
-        rendering: How.
     """
     second_opacities: Tensor | None = None
     if second is not None:
@@ -266,15 +254,8 @@ def blend_features(
     traversal of its own.
 
     Args:
-        gaussians: A set that has features.
-        names: The spectra.
         photograph: The one of them that takes SH colours; None: none does.
-        view: Their camera and pose.
-        rendering: How.
         rendered: Takes the spreads of depths, and what rasterizations say about their calls.
-
-    Returns:
-        What was blended, by spectrum.
     """
     values = _blended_values(gaussians, view, rendering)
     own_opacity = [name for name in names if name in gaussians.second_opacities]

@@ -128,7 +128,6 @@ class Sightline:
         """The camera's signal of objects.
 
         Args:
-            law: The camera's.
             celsius: Temperatures of the objects [°C], [...].
             distance: How far they are [m], [...]; None: as is assumed.
         """
@@ -141,7 +140,6 @@ class Sightline:
         """Temperatures of objects from the camera's signal: the inverse of ``seen``.
 
         Args:
-            law: The camera's.
             counts: Its signal, [...].
             distance: How far the objects are [m], [...]; None: as is assumed.
 

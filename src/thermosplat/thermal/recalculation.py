@@ -39,12 +39,10 @@ class Recalculation:
     """How a capture's temperatures are recalculated.
 
     Args:
-        law: The camera's.
         applied: What the capture's temperatures were computed with.
         stated: What its files say of object and air; settings that are not given are these.
         air_is_known: Somebody has said what the air is, so that its path counts.
         settings: What is asked for, for the scene.
-        surfaces: What is asked for by label.
         notes: What to tell people, a sentence each.
     """
 
@@ -68,7 +66,6 @@ class Recalculation:
         Args:
             parameters: The capture's; None: it says nothing, and its temperatures are taken for those of black bodies
                 right before the lens.
-            settings: What is asked for.
             surfaces: The same by label.
         """
         said = _UNSTATED if parameters is None else parameters.stated

@@ -92,7 +92,6 @@ def check_filled(values: NDArray[Any], unit: str | None, folder: str, flag: str,
     Args:
         values: The values, [N].
         unit: The stated unit; None: usual temperatures of any unit are looked for.
-        folder: Where the values come from, for the message.
         flag: What says that they are counts.
         integer: The files hold integers.
 
@@ -136,9 +135,6 @@ def check_plausible(low: float, high: float, unit: str, folder: str, spectrum: s
     Args:
         low: Low end of the values (a percentile).
         high: High end.
-        unit: The stated unit.
-        folder: Where the values come from, for the message.
-        spectrum: Name of the spectrum, for the message.
 
     Raises:
         UserError: The values are outside of what anything measured can be; the hint names the unit they look like.
@@ -162,7 +158,6 @@ def read_statement(path: Path, spectrum: str) -> RadiometricStatement:
 
     Args:
         path: The file; may be absent.
-        spectrum: Name of the spectrum that it is about, for messages.
 
     Returns:
         What it states; nothing for a missing file.

@@ -64,11 +64,7 @@ def view(tensor: Tensor, kind: Any, *shape: int) -> ArrayView:
 
     Args:
         tensor: contiguous; the array does not keep it alive.
-        kind: Warp type of an element.
         shape: extents; none: one dimension.
-
-    Returns:
-        The array.
     """
     shape = shape or (tensor.numel() // getattr(kind, "_length_", 1),)
     return ArrayView(tensor.data_ptr(), shape, kind, warp_device_of(tensor.device))
@@ -88,9 +84,6 @@ def strided_view(tensor: Tensor) -> ArrayView:
 
     Args:
         tensor: float32 or float64, of any strides.
-
-    Returns:
-        The array.
     """
     size = tensor.element_size()
     # contiguous ones have the strides of their shape, whatever torch says of dimensions of size 1
@@ -101,14 +94,10 @@ def strided_view(tensor: Tensor) -> ArrayView:
 
 def given_view(gradient: Tensor, kind: Any, *shape: int) -> ArrayView:
     """A gradient that autograd brought, as ``view``, made contiguous and kept alive by the array.
+    The other arguments are those of ``view``.
 
     Args:
         gradient: any strides.
-        kind: as in ``view``.
-        shape: as in ``view``.
-
-    Returns:
-        The array.
     """
     gradient = gradient.contiguous()
     array = view(gradient, kind, *shape)
@@ -122,9 +111,6 @@ def lend(array: ArrayView, gradient: Tensor | None) -> ArrayView:
     Args:
         array: an output of a step.
         gradient: what autograd brought; None stands for zeros.
-
-    Returns:
-        The array.
     """
     if gradient is not None:
         gradient = gradient.contiguous()

@@ -65,7 +65,6 @@ def host_empty(shape: tuple[int, ...], device: torch.device) -> Tensor:
     """A float32 tensor in the host's memory that a device's kernels use, not initialised.
 
     Args:
-        shape: Its extents.
         device: Of a CUDA device: the tensor says it is there. The CPU: an ordinary tensor.
 
     Raises:

@@ -47,7 +47,6 @@ class TorchMemory:
     """Arrays for the steps of warp_kernels, each on a torch tensor of its own; see ``array_views``.
 
     Args:
-        device: Torch's name of the device.
         stream: On CUDA, the stream they are used on.
     """
 
@@ -98,9 +97,6 @@ class launches_on_torch_stream:
 
     A context that yields the Warp device. It changes nothing of Warp itself, which makes it cheap, and safe where
     other threads render on other streams.
-
-    Args:
-        device: a CPU or CUDA device.
     """
 
     def __init__(self, device: torch.device) -> None:
@@ -126,9 +122,6 @@ class on_torch_stream(launches_on_torch_stream):
 
     Entered again on the same stream it does nothing. Other threads that enter for the same device wait until it is
     left.
-
-    Args:
-        device: a CPU or CUDA device.
     """
 
     def __enter__(self) -> wp.Device:

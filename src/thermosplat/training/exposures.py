@@ -57,7 +57,6 @@ class Exposures(nn.Module):
         The features that are compared with the same image change with it: those of photographs and scalars.
 
         Args:
-            rendered: The render.
             index: The frame, int64 scalar on the device.
         """
         changed = replace(rendered, images=dict(rendered.images), features=dict(rendered.features))
@@ -76,7 +75,6 @@ class Exposures(nn.Module):
         """Note as the maps' gradients what those of one training frame lack. Nothing here waits for the device.
 
         Args:
-            rendered: The render without exposures.
             frame: The frame, with its index among all.
         """
         for name, maps in self.maps.items():

@@ -55,11 +55,7 @@ class FastDecoders:
 
     @contextmanager
     def active(self, formations: Formations) -> Iterator[None]:
-        """Around a step's rendering and backward pass.
-
-        Args:
-            formations: Those that have the decoder.
-        """
+        """Around a step's rendering and backward pass."""
         with self.precise(), formations.decoding_by(self.decode):
             yield
 
@@ -67,11 +63,7 @@ class FastDecoders:
 def fast_decoding(
     formations: Formations, config: TrainConfig, device: torch.device
 ) -> Callable[[], AbstractContextManager[None]]:
-    """What is opened around a step so that features are decoded as a configuration wants it.
-
-    Args:
-        formations: The model's.
-    """
+    """What is opened around a step so that features are decoded as a configuration wants it."""
     if formations.decoder is None or device.type != "cuda":
         return nullcontext
     fast = FastDecoders(formations.decoder, compiled=config.compile, precision=config.decoder_precision)

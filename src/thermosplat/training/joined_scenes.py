@@ -30,7 +30,6 @@ def seed_of_scene(seed: int, number: int) -> int:
     """The seed of a scene; of the first, and of what all become, it is the run's.
 
     Args:
-        seed: The run's.
         number: The scene, from 0.
     """
     return (seed + number * _SEEDS_APART) % _LAST_SEED
@@ -48,12 +47,7 @@ def kept_scene(model: SceneModel) -> Scene:
 
 
 def joined_sets(scenes: Sequence[Scene], config: TrainConfig, formations: Formations) -> dict[str, Gaussians]:
-    """What kept scenes become, by set.
-
-    Args:
-        config: The run's configuration.
-        formations: Those of its model's spectra.
-    """
+    """What kept scenes become, by set."""
     restored = [restored_sets(scene, config, formations) for scene in scenes]
     return {name: joined([sets[name] for sets in restored]) for name in restored[0]}
 

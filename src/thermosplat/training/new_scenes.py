@@ -37,8 +37,6 @@ class NewScenes:
     """Makes the scenes of a training; what of them is offloaded is decided with the first one.
 
     Args:
-        config: What is done.
-        capture: What is trained on.
         team: The ranks, of which each gets its share.
     """
 
@@ -70,7 +68,6 @@ class NewScenes:
         """A scene on the device.
 
         Args:
-            start: How it starts.
             checkpoint: What it goes on from, of several ranks this one's share; None: the capture's points.
 
         Raises:

@@ -30,11 +30,7 @@ _GB = 1e9
 
 
 def refused(config: TrainConfig, *, divided: bool = False) -> str | None:
-    """Why a training cannot offload, in one sentence; None: it can.
-
-    Args:
-        divided: Whether several processes train the scene.
-    """
+    """Why a training cannot offload, in one sentence; None: it can."""
     if divided:
         return "--offload works on one device, and this training is divided over several."
     if (config.batch_size or 1) > 1:
@@ -59,8 +55,6 @@ def decided(config: TrainConfig, model: SceneModel, device: torch.device, *, div
 
     Args:
         model: The model at the start of the training or as it was resumed, anywhere.
-        device: The device that trains it.
-        divided: Whether several processes train it.
 
     Raises:
         UserError: It is asked for where it does not work.
@@ -131,7 +125,6 @@ class SetSize(NamedTuple):
         """Of a model's set, which grows to so many Gaussians.
 
         Args:
-            name: Of the set.
             most: Gaussians; fewer than there are have no effect.
         """
         gaussians = model.gaussians(name)
@@ -150,7 +143,6 @@ class SetSize(NamedTuple):
         """Bytes on the device.
 
         Args:
-            kind: What is offloaded.
             growing: Also of a refinement, which copies parameters and moments; else of a step.
         """
         here = self.floats if kind == "nothing" else self.floats - self.movable
@@ -162,7 +154,6 @@ class SetSize(NamedTuple):
         """Bytes in the host's memory.
 
         Args:
-            kind: What is offloaded.
             growing: As in ``on_device``; of a refinement, which has parameters there, too.
         """
         if kind == "nothing":

@@ -36,7 +36,6 @@ def learning_rate(name: str, config: OptimizerConfig, progress: float, scale: fl
 
     Args:
         name: Parameter name of a set of Gaussians, "decoders", or of the cameras' corrections.
-        config: The rates.
         progress: Share of the run that is done, 0 to 1.
         scale: What rates of lengths are multiples of: for means the radius of the cameras [world units] (3DGS), for
             "poses" and "cameras" the width of the images [px].
@@ -137,7 +136,6 @@ def step_unless(blocked: Tensor, optimizers: Mapping[str, Optimizers]) -> None:
 
     Args:
         blocked: float32 scalar on the parameters' device; 1 leaves parameters and moments as they are.
-        optimizers: The optimizers, by owner and parameter name.
     """
     every = [optimizer for owned in optimizers.values() for optimizer in owned.values()]
     by_warp = [optimizer for optimizer in every if isinstance(optimizer, WarpAdam)]
@@ -203,8 +201,6 @@ class FiniteGuard:
 
         Args:
             step: Its number, from 1; int64 scalar on the device.
-            losses: The loss terms, scalars, by name.
-            gradients: Gradients by the name of what they belong to.
         """
         named = {name: [loss.detach()] for name, loss in losses.items()}
         named |= {f"gradient of {name}": tensors for name, tensors in gradients.items() if tensors}

@@ -30,11 +30,6 @@ def out_of_memory_error(
     """The error to show.
 
     Args:
-        step: The step that failed.
-        num_gaussians: Gaussians in all sets.
-        image_size: Size of the images that were rendered.
-        saved: One sentence about the checkpoint.
-        resume_command: The command line that goes on from it.
         can_offload: Whether moving parameters to the host's memory would help.
         scenes: Among how many a limit of the Gaussians is divided.
     """

@@ -86,18 +86,12 @@ class RecordedSteps:
         self._image_factor = 1.0
         self._taught: tuple[str, ...] = ()
         self._seen: set[Work] = set()
-        self._frames: dict[tuple[_Shape | None, ...], tuple[FrameTensors, ...]] = {}
+        self.frames: dict[tuple[_Shape | None, ...], tuple[FrameTensors, ...]] = {}
         self.graphs: dict[Work, Captured] = {}
         self._pool = torch.cuda.MemPool()  # outlives the graphs, which take their memory from it one after the other
 
     def run(self, frames: tuple[FrameTensors, ...], plan: Plan, kind: StepKind) -> StepValues:
-        """Do one step; the next one overwrites the values.
-
-        Args:
-            frames: This rank's.
-            plan: Of all ranks.
-            kind: What is done with them.
-        """
+        """Do one step; the next one overwrites the values."""
         if (kind.image_factor, kind.taught) != (self._image_factor, self._taught):
             self._image_factor, self._taught = kind.image_factor, kind.taught
             self._forget_sizes()
@@ -150,7 +144,7 @@ class RecordedSteps:
     def _forget_sizes(self) -> None:
         """Other sizes or other scenes are rendered from now on: graphs go, and pairs are counted anew."""
         self.forget()
-        self._frames.clear()
+        self.frames.clear()
         self._to_measure = self._measured_anew
 
     def check_overflow(self) -> None:
@@ -160,9 +154,9 @@ class RecordedSteps:
             self.forget()
 
     def _capture(self, frames: tuple[FrameTensors, ...], work: Work) -> Captured:
-        if work.shapes not in self._frames:
-            self._frames[work.shapes] = tuple(packed_elsewhere(frame) if frame.views else frame for frame in frames)
-        static, graph = self._frames[work.shapes], torch.cuda.CUDAGraph()
+        if work.shapes not in self.frames:
+            self.frames[work.shapes] = tuple(packed_elsewhere(frame) if frame.views else frame for frame in frames)
+        static, graph = self.frames[work.shapes], torch.cuda.CUDAGraph()
         if not self.graphs:
             self.step.capacity.spare = SPARE if work.kind.densifying else SETTLED_SPARE
             self.step.capacity.measure()

@@ -20,7 +20,6 @@ def hand_rows_over(rendered: RenderedFrame, optimizers: dict[str, Optimizers]) -
     """Tell optimizers of offloaded parameters which rows the frame has used.
 
     Args:
-        rendered: The frame, after its backward pass.
         optimizers: By name of the set, and of the parameter.
     """
     for owner, gaussians in rendered.in_view.items():
@@ -33,12 +32,7 @@ def hand_rows_over(rendered: RenderedFrame, optimizers: dict[str, Optimizers]) -
 
 
 def observed_in_order(rendered: RenderedFrame, numbers: dict[str, int]) -> dict[str, list[dict[str, Any]]]:
-    """What density control looks at of a frame, as if all Gaussians had been rendered.
-
-    Args:
-        rendered: The frame, after its backward pass.
-        numbers: Gaussians of each set.
-    """
+    """What density control looks at of a frame, as if all Gaussians had been rendered."""
     return {
         name: [_in_order(info, rendered.in_view[name], numbers[name]) for info in infos]
         if name in rendered.in_view

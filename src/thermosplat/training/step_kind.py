@@ -34,13 +34,11 @@ class StepKind:
     sh_degree: int
     """Degree of the spherical harmonics in use."""
     densifying: bool = False
-    """Note gradients for the next refinement."""
     depth_spread: bool = False
     """Let the spread of depths along rays be a loss."""
     swept_depths: bool = False
     """Let depths be drawn to those that plane sweeps found."""
     refining: bool = False
-    """Correct the cameras."""
     exposing: bool = False
     """Let the exposures of the frame follow its images."""
     geometry_held: bool = False

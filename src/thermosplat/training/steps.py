@@ -28,10 +28,8 @@ class Steps:
     """Runs steps line by line, or records them and replays what was recorded.
 
     Args:
-        frames: The training frames.
         schedule: Which of them each step takes.
         recorded: Record steps (recorded_steps.py), which CUDA can.
-        say: Tells the user something.
 
     Attributes:
         recordings: Those of the steps; None where they run line by line.

@@ -74,7 +74,6 @@ class TrainingState:
     Args:
         model: The scene, on its device.
         capture: What it is trained on; the exposures and cameras of the training frames are part of the state.
-        device: The model's device.
     """
 
     def __init__(self, model: SceneModel, config: TrainConfig, capture: Capture, device: torch.device) -> None:
@@ -159,7 +158,6 @@ class TrainingState:
         """Forget the scene and all that was learnt but the corrections of cameras; no step is done.
 
         Args:
-            model: A new model; its parameters are taken over.
             kept: Scenes that are to become one, with this one where it is as far as it comes by itself.
         """
         self.take({name: model.gaussians(name) for name in self.gaussian_sets})
@@ -202,7 +200,6 @@ class TrainingState:
 
         Args:
             step: The step to come, from 1.
-            config: The rates.
         """
         self.clear_gradients()
         self.budget.trimmed = False
@@ -236,7 +233,6 @@ class TrainingState:
         """The state to go on from; of a trimmed model without Adam's moments, twice its size.
 
         Args:
-            scales: What pixel values mean, by spectrum.
             capture: What is trained on, for the frames' names; None: nobody goes on from it with another capture.
         """
         trimmed, watch = self.budget.trimmed, self.noise_watch

@@ -58,16 +58,10 @@ class Differentiated:
     """What comparing rendered frames gave, after the backward passes."""
 
     rendered: RenderedFrame
-    """The last frame."""
     losses: dict[str, Tensor]
     squared_errors: dict[str, Tensor]
     observed: Sequence[dict[str, list[Any]]] = ()
     """What density control looks at of each frame, by set."""
-
-
-def _of_penalties(config: TrainConfig, kind: StepKind) -> LossConfig:
-    """Weights of the penalties on Gaussians. While cameras are found there are none: they would open holes."""
-    return replace(config.loss, opacity_reg=0.0, scale_reg=0.0) if kind.geometry_held else config.loss
 
 
 class TrainingStep:
@@ -75,10 +69,6 @@ class TrainingStep:
 
     Args:
         state: Model, optimizers and density control.
-        guard: Watches losses and gradients.
-        capacity: Counts the renderer's pairs.
-        team: The ranks that train the scene.
-        tolerances: Of a budget.
 
     Attributes:
         decoding: Opened around rendering and backward pass; what makes decoders fast.
@@ -110,9 +100,6 @@ class TrainingStep:
         """Render the frames, compare them with their images, and leave the gradients on the parameters.
 
         Args:
-            frames: This rank's, one for each round of the plan.
-            kind: What is done with them.
-            plan: The step's frames.
             fixed_capacity: Render without reading numbers of pairs back.
 
         Raises:
@@ -241,7 +228,9 @@ class TrainingStep:
             losses = balanced_losses(losses, compared.spectra, numbers)
         if part.weight != 1.0:
             losses = {name: part.weight * loss for name, loss in losses.items()}
-        losses |= self._penalties(part, _of_penalties(config, kind), rendered)
+        # While cameras are found there are no penalties on Gaussians: they would open holes.
+        weights = replace(config.loss, opacity_reg=0.0, scale_reg=0.0) if kind.geometry_held else config.loss
+        losses |= self._penalties(part, weights, rendered)
         if part.calls is not None:
             # Every image takes part, so that every rank's backward pass makes the same exchanges.
             images = [*rendered.images.values(), *rendered.features.values(), *rendered.blank]
@@ -273,10 +262,6 @@ class TrainingStep:
         """Improve Gaussians and decoders by the gradients, except where something was not finite or did not fit.
 
         The step counts as done as soon as they are, whatever becomes of the rest.
-
-        Args:
-            kind: What is done with the frame.
-            done: What :meth:`gradients` returned.
         """
         config, state = self.config, self.state
         blocked = torch.maximum(self.guard.blocked, self.capacity.overflow)
@@ -321,9 +306,6 @@ def _seen(rendered: RenderedFrame, name: str, number: int, groups: Collection[Gr
     """Which Gaussians of a set the first camera of its calls sees, bool [N].
 
     Args:
-        rendered: A render.
-        name: The set's name.
-        number: Of its Gaussians here.
         groups: Of calls that ranks make together, those of the frame that decides; None: all.
     """
     infos = [info for info in rendered.infos.get(name, []) if groups is None or info["group"] in groups]

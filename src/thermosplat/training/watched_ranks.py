@@ -52,7 +52,6 @@ class Leader:
     """Rank 0, which has the viewers. What they see and ask goes through it (``training_watch.Watched``).
 
     Args:
-        trainer: Its training.
         watch: What viewers ask; its scene gets the copies.
     """
 
@@ -121,11 +120,7 @@ class Leader:
         self._next_copy = now + max(COPY_SECONDS, (now - started) * (1 / TRAINING_SHARE - 1))
 
     def _wait(self) -> None:
-        """Let the others wait on.
-
-        Raises:
-            Stopped: A signal was sent to a rank.
-        """
+        """Let the others wait on."""
         numbers = [number for number in self._say(Word.WAIT) if number]
         if numbers:
             raise Stopped(numbers[0])

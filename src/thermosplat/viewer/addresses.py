@@ -55,7 +55,6 @@ def free_port(host: str, port: int) -> int:
     behind the last port.
 
     Args:
-        host: The address.
         port: Where to begin, 0 to 65,535; 0: anywhere.
 
     Raises:

@@ -52,7 +52,6 @@ class Door:
     """Looks at every request, and at every message.
 
     Args:
-        host: Address that the server is bound to.
         answers: Answers of the page's own requests, by the last part of their path: /view/<name>. One that cannot be
             given raises a ``ValueError``.
     """
@@ -72,11 +71,6 @@ class Door:
 
     def answer(self, connection: Any, request: Any, inside: Callable[[Any, Any], Any]) -> Any:
         """Answer a request, or let viser answer it.
-
-        Args:
-            connection: The websockets connection.
-            request: What is asked; its path loses the token.
-            inside: viser's own answer.
 
         Returns:
             A response; None lets a websocket be opened.
@@ -187,9 +181,7 @@ def open_server(host: str, port: int, door: Door) -> "viser.ViserServer":
     """Start viser behind a door. It serves in a thread of its own.
 
     Args:
-        host: Address to bind to.
         port: Port to begin with; the next free one is taken.
-        door: The guard.
 
     Raises:
         UserError: viser is not installed, or the address cannot be bound.

@@ -23,7 +23,6 @@ class Errands:
 
     Args:
         name: Of the thread.
-        tell: Says a title and a sentence on the page.
 
     Attributes:
         waiting: What is asked for and not begun.

@@ -55,7 +55,8 @@ class Shared:
     def __post_init__(self) -> None:
         self._naming = threading.Lock()
         self._named = 0
-        self.book = self._book()
+        path = self.folder / MEASUREMENTS
+        self.book = MeasurementBook(path, read_book(path)[0] if path.is_file() else None)
         sweep(self.folder)  # of a video that a program which was ended left behind
         if self.bookmarks_file.is_file() and not self.bookmarks:
             placement = self.scene.model.placement
@@ -65,11 +66,6 @@ class Shared:
     def scene(self) -> ViewedScene:
         """The scene."""
         return self.renderer.scene
-
-    def _book(self) -> MeasurementBook:
-        """What was measured before, and where it is kept."""
-        path = self.folder / MEASUREMENTS
-        return MeasurementBook(path, read_book(path)[0] if path.is_file() else None)
 
     @property
     def bookmarks_file(self) -> Path:
@@ -95,7 +91,6 @@ class Viewer:
     """A scene on a page of its own.
 
     Args:
-        scene: What is seen.
         folder: Where measurements, pictures and bookmarks go.
         host: Address to serve at. Other than this machine's own, the page's address has a token.
         port: Port to begin with; the next free one is taken.

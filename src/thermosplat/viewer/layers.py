@@ -54,7 +54,6 @@ class Layer:
     kind: str
     """What it is: one of those that every scene has, or of the spectrum's ``Formation.layers``."""
     spectrum: str
-    """In which spectrum."""
 
     @property
     def label(self) -> str:
@@ -67,7 +66,6 @@ class LayerImage:
     """A layer as it was rendered from one view."""
 
     layer: Layer
-    """Which one."""
     field: NDArray[np.float32] | None
     """Values, shape [H, W], NaN where there is none; None of a layer of colours."""
     colors: Image8 | None
@@ -138,9 +136,6 @@ class LayerRenderer:
             view: Camera and pose, on the model's device.
             values: Also the values behind pseudo-colours, which takes a while; without, such a layer has its colours.
             temperatures: How temperatures are recalculated; None: they are not.
-
-        Returns:
-            The layers.
         """
         shown = _Temperatures(temperatures or SceneTemperatures(self.scene.model, self.scene.scales), view)
         scene, wanted = self.scene, list(dict.fromkeys(layers))
@@ -256,12 +251,7 @@ class LayerRenderer:
 
     @torch.no_grad()
     def how_sure(self, layer: Layer, view: ViewTensors) -> Sure | None:
-        """How sure the values of an image are; None where nobody knows.
-
-        Args:
-            layer: The image.
-            view: From where it is rendered.
-        """
+        """How sure the values of an image are; None where nobody knows."""
         certainty = self.scene.certainties.get(layer.spectrum) if layer.kind == "image" else None
         if certainty is None:
             return None
@@ -303,7 +293,6 @@ def image_layer(
 
     Args:
         image: Shape [H, W, C].
-        scale: What its pixel values mean.
         values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
         temperatures: How temperatures are recalculated; None: they are not.

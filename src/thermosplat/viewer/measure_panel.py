@@ -250,7 +250,6 @@ def spot_cross(point: NDArray[np.floating], view: Bookmark) -> NDArray[np.float6
 
     Args:
         point: The point, shape [3].
-        view: From where it was measured.
 
     Returns:
         Two segments in the scene, shape [2, 2, 3]; each is as long as 3% of the picture's height.

@@ -26,9 +26,7 @@ class Mark:
     """A measurement as it lies in a picture."""
 
     text: str
-    """Its label."""
     shape: Shape
-    """Of what it is."""
     outline: tuple[Pixel, ...]
     """Its corners."""
     minimum: Pixel | None = None
@@ -63,7 +61,6 @@ def marked_picture(
 
     Args:
         picture: 8-bit RGB, shape [H, W, 3].
-        marks: What is drawn.
         legend: Palette, lowest and highest value and unit of the picture; None: no legend.
 
     Returns:
@@ -123,8 +120,6 @@ def save_measurements(folder: Path, stem: str, pages: Pages, picture: Image8) ->
     """Write measurements as a table and as JSON, and the picture of them beside that.
 
     Args:
-        folder: Made where there is none.
-        stem: Name of the files without their ending.
         pages: The measurements. Numbers are not rounded.
         picture: As of ``marked_picture``.
 

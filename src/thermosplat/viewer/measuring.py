@@ -38,9 +38,7 @@ class SearchedView:
     """A view of the capture in which regions are looked for."""
 
     frame: Frame
-    """Whose view it is."""
     view: ViewTensors
-    """As it was rendered."""
     values: NDArray[np.float64]
     """[H, W], in the unit of the spectrum."""
     depth: NDArray[np.float64]
@@ -73,7 +71,6 @@ class Measurer:
     """Measures a scene.
 
     Args:
-        renderer: Renders its layers.
         temperatures: How temperatures are recalculated for the whole scene; None: as the scene says.
     """
 
@@ -150,7 +147,6 @@ class Measurer:
         """The views of the capture, rendered as small as regions are looked for in them.
 
         Args:
-            spectrum: Which is looked at.
             width: Of the pictures [px]; those of the capture are not enlarged.
 
         Raises:
@@ -206,10 +202,7 @@ def seen_layer(
     """A layer as measurements see it.
 
     Args:
-        image: The layer, of values.
         depth: The depth of its spectrum from the same view.
-        temperatures: How it was recalculated.
-        sure: How sure its values are.
 
     Raises:
         UserError: It is a layer of colours.

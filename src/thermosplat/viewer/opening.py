@@ -43,7 +43,6 @@ def open_scene(
         step: Which checkpoint of a run; None: the last.
         data: Where the capture lies now; None: where it lay.
         device: As ``--device``.
-        settings: What temperatures are recalculated with at first.
         scale_of: Length of a world unit of a capture [m], where it is known.
         query: File (.npy) with a vector that features are compared with.
         compare: Folder of thermosplat-compare, whose first date is shown beside the run.

@@ -33,7 +33,6 @@ class Pace:
         Args:
             width: Its width [px].
             height: Its height [px].
-            seconds: To render and encode it.
         """
         self._seconds_per_pixel = seconds / (width * height)
         factor = min(max(self.target / max(seconds, 1e-6), 1 / _STEEPEST), _STEEPEST)

@@ -37,7 +37,6 @@ def admitted(message: bytes | str, control: Callable[[str], Control | None]) -> 
     """A message as viser may have it.
 
     Args:
-        message: What came.
         control: The input of a uuid; None where there is none.
 
     Returns:
@@ -84,7 +83,6 @@ def allowed(control: Control | None, value: Any) -> Any:
     """A value that an input may have.
 
     Args:
-        control: The input.
         value: What a page says it is; numbers have been looked at.
 
     Returns:

@@ -13,9 +13,6 @@ def state_html(key: str, version: int, session: ViewSession, shown: Shown | None
     """The element.
 
     Args:
-        key: Of the tab; requests of its page name it.
-        version: Number of the picture.
-        session: What the tab looks at.
         shown: The picture; None: there is none yet.
 
     Returns:
@@ -55,9 +52,7 @@ def legend_html(title: str, bar: tuple[Palette, float, float, str] | None, *belo
     """What stands in the lower left corner.
 
     Args:
-        title: What is seen.
         bar: Palette, values at its ends and their unit; None: no colour bar.
-        *below: Lines below it.
 
     Returns:
         HTML; texts are escaped.

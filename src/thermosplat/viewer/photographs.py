@@ -26,7 +26,6 @@ class SeenPhotograph:
     """A photograph as it looks from a view."""
 
     frame: Frame
-    """The frame it is of."""
     image: Tensor
     """Shape [H, W, C] in [0, 1]; NaN where the view shows what the photograph does not."""
 

@@ -35,9 +35,7 @@ class ViewSession:
     """What one viewer looks at.
 
     Args:
-        renderer: Renders layers of the scene.
         turns: When it may.
-        wish: What is seen at first.
     """
 
     renderer: LayerRenderer
@@ -84,7 +82,6 @@ class ViewSession:
         """Make the picture from a view. Nothing is rendered anew that the last picture from there has.
 
         Args:
-            view: From where.
             width: Of the picture [px].
             height: Of the picture [px].
             full: Also make the values, which are read by ``probe`` and ``measure``.
@@ -206,7 +203,6 @@ class ViewSession:
         """Measure the layer that a picture at rest shows at the first point, and keep the measurement.
 
         Args:
-            shape: Of what.
             points: Its places, in shares of width and height (``shapes.number_of_points``).
             shown: The picture; None: the newest.
 

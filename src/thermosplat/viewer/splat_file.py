@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from thermosplat.config import DecoderConfig, ModelConfig
 from thermosplat.datasets.placement import Placement
+from thermosplat.datasets.transforms.point_cloud import BYTE_ORDERS, LONGEST_HEADER, PlyError, ply_vertices
 from thermosplat.errors import UserError
 from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
@@ -26,17 +27,6 @@ from thermosplat.viewer.viewed_scene import ViewedScene
 
 SPECTRUM = "rgb"
 """What the colours of a PLY file are shown as."""
-_LONGEST_HEADER = 64 << 10
-_TYPES = {
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-}
 _NEEDED = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
            "rot_0", "rot_1", "rot_2", "rot_3")  # fmt: skip
 _OPAQUE, _FLAT = 30.0, -60.0
@@ -114,43 +104,23 @@ def _read(path: Path) -> NDArray[Any]:
         if not path.is_file():  # nothing that is waited for
             raise UserError(f"{path} is no file.", "Give a RUN, a checkpoint or a PLY.")
         with path.open("rb") as file:
-            header = file.read(_LONGEST_HEADER)
-            count, fields, start = _header(path, header)
-            kind = np.dtype(fields)
+            header = file.read(LONGEST_HEADER)
+            if re.search(rb"\nproperty[^\n]* packed_position\r?\n", header):
+                raise UserError(
+                    f"{path} is a compressed PLY, which thermosplat-view does not read.",
+                    "Give the RUN itself, or a PLY of it: thermosplat-export RUN --format ply",
+                )
+            layout, count, fields, start = ply_vertices(header, _NEEDED)
+            if layout == "ascii":
+                raise PlyError("it is a text")
+            kind = np.dtype([(name, BYTE_ORDERS[layout] + letter) for name, letter in fields])
             if count * kind.itemsize > size - start:
                 raise UserError(f"{path} is cut off: {count} Gaussians do not fit into it.", "Copy or export it again.")
             file.seek(start)
             return np.fromfile(file, kind, count)
+    except PlyError as error:
+        raise UserError(f"{path} is no PLY of 3D Gaussians: {error}.", _HINT) from error
     except OSError as error:
         raise UserError(
             f"Cannot read {path}: {error.strerror or error}.", "Give a RUN, a checkpoint or a PLY."
         ) from error
-
-
-def _header(path: Path, header: bytes) -> tuple[int, list[tuple[str, str]], int]:
-    """Number of vertices, their fields, and where they begin in the file."""
-    end = re.search(rb"end_header\r?\n", header)
-    if not header.startswith(b"ply") or end is None:
-        raise UserError(f"{path} is not a PLY file.", _HINT)
-    lines = [line.split() for line in header[: end.start()].decode("ascii", "replace").splitlines()]
-    if any(line[-1:] == ["packed_position"] for line in lines):
-        raise UserError(
-            f"{path} is a compressed PLY, which thermosplat-view does not read.",
-            "Give the RUN itself, or a PLY of it: thermosplat-export RUN --format ply",
-        )
-    orders = {"binary_little_endian": "<", "binary_big_endian": ">"}
-    order = next((orders.get(line[1], "") for line in lines if line[:1] == ["format"] and len(line) > 1), "")
-    elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]
-    first = lines[elements[0]] if elements else []
-    if not order or len(first) != 3 or first[1] != "vertex" or not first[2].isdigit():
-        raise UserError(f"{path} is not a binary PLY whose first element is vertex.", _HINT)
-    last = elements[1] if len(elements) > 1 else len(lines)
-    properties = [line for line in lines[elements[0] : last] if line[:1] == ["property"]]
-    if any(len(line) != 3 or line[1] not in _TYPES for line in properties):
-        raise UserError(f"{path} has vertices with lists or unknown types.", _HINT)
-    names = [line[2] for line in properties]
-    missing = [name for name in _NEEDED if name not in names]
-    if missing or len(set(names)) != len(names):
-        what = f"lacks the property {missing[0]}" if missing else "has a property twice"
-        raise UserError(f"{path} {what}: it holds no 3D Gaussians.", _HINT)
-    return int(first[2]), [(line[2], order + _TYPES[line[1]]) for line in properties], end.end()

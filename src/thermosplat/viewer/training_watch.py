@@ -33,7 +33,6 @@ class TrainingWatch:
     """Between the thread that trains and the viewers.
 
     Args:
-        scene: The scene that is trained.
         max_steps: Steps of the whole training.
         metrics: The run's metrics.jsonl, which is read for the plots.
     """

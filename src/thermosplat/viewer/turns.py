@@ -41,7 +41,7 @@ class OneAtATime:
     """Turns at a model that nobody changes: each in the thread that asks, in the order in which they ask."""
 
     def __init__(self) -> None:
-        self._asking: deque[object] = deque()
+        self.waiting: deque[object] = deque()
         self._news = threading.Condition()
         self._ended = False
 
@@ -49,16 +49,16 @@ class OneAtATime:
         """Do work when all is done that was asked for before."""
         mine = object()
         with self._news:
-            self._asking.append(mine)
+            self.waiting.append(mine)
         try:
             with self._news:
-                self._news.wait_for(lambda: self._ended or self._asking[0] is mine)
+                self._news.wait_for(lambda: self._ended or self.waiting[0] is mine)
                 if self._ended:
                     raise ViewingEnded
             return work()
         finally:
             with self._news:
-                self._asking.remove(mine)
+                self.waiting.remove(mine)
                 self._news.notify_all()
 
     def end(self) -> None:

@@ -29,15 +29,12 @@ class ViewedScene:
     """A scene to look at. While it is trained, its model and its SH degree change under the viewer's eyes."""
 
     name: str
-    """What it is called on the page."""
     model: SceneModel
-    """The Gaussians and decoders."""
     sh_degree: int
     """Highest SH degree in use."""
     scales: dict[str, PixelScale]
     """What pixel values mean, by spectrum of the model."""
     device: torch.device
-    """Where the model is."""
     capture: Capture | None = None
     """Its photographs; None where there are none."""
     recalculable: SceneTemperatures | None = None
@@ -138,7 +135,6 @@ class EarlierDate:
     """What a scene was at an earlier date, as thermosplat-compare found it."""
 
     scene: ViewedScene
-    """Then."""
     to_later: MapFrame
     """From its scene to the later one."""
     spectrum: str

@@ -26,7 +26,7 @@ from thermosplat.viewer.freed_memory import give_back
 from thermosplat.viewer.measure_panel import MeasurePanel
 from thermosplat.viewer.measurements import save_measurements
 from thermosplat.viewer.notices import NOTICES
-from thermosplat.viewer.orbit import orbit, rotation
+from thermosplat.viewer.orbit import orbit
 from thermosplat.viewer.pace import Pace
 from thermosplat.viewer.page_state import state_html
 from thermosplat.viewer.picture_sizes import fitting
@@ -60,7 +60,6 @@ class Visitor:
     """A tab and what it sees.
 
     Args:
-        session: What it looks at.
         shared: What it shares with the others.
     """
 
@@ -81,7 +80,7 @@ class Visitor:
         self.errands = Errands(f"viewer {client.client_id}, controls", self.tell)
         self._thread = threading.Thread(target=self._make_pictures, name=f"viewer {client.client_id}", daemon=True)
         self._state: Any = None
-        self._panels: list[Any] = []
+        self.panels: list[Any] = []
 
     def begin(self) -> None:
         """Build the controls, and begin to send pictures."""
@@ -90,14 +89,14 @@ class Visitor:
         self._state = gui.add_html(self._state_html(None))
         tabs = gui.add_tab_group()
         with tabs.add_tab("View"):
-            self._panels.append(ViewPanel(self))
+            self.panels.append(ViewPanel(self))
         with tabs.add_tab("Measure"):
-            self._panels.append(MeasurePanel(self))
+            self.panels.append(MeasurePanel(self))
         with tabs.add_tab("Cameras"):
-            self._panels.append(CamerasPanel(self))
+            self.panels.append(CamerasPanel(self))
         if self.shared.watch is not None:
             with tabs.add_tab("Training"):
-                self._panels.append(TrainingPanel(self, self.shared.watch))
+                self.panels.append(TrainingPanel(self, self.shared.watch))
         self.client.camera.on_update(self._camera_told)
         self._thread.start()
 
@@ -159,13 +158,15 @@ class Visitor:
 
     def _panels_of(self, kind: type[Panel]) -> list[Panel]:
         """The tab's panels of a kind; none before it began, and after it was closed."""
-        return [panel for panel in self._panels if isinstance(panel, kind)]
+        return [panel for panel in self.panels if isinstance(panel, kind)]
 
     def view(self, name: str = "") -> Bookmark:
         """Where the tab's camera is."""
+        from viser import transforms
+
         camera = self.client.camera
         pose = np.eye(4)
-        pose[:3, :3] = rotation(camera.wxyz)
+        pose[:3, :3] = transforms.SO3(np.asarray(camera.wxyz, np.float64)).normalize().as_matrix()
         pose[:3, 3] = camera.position
         return Bookmark(name, np.linalg.inv(pose).astype(np.float64), math.degrees(camera.fov))
 
@@ -241,10 +242,8 @@ class Visitor:
         """Render what this tab sees from a view, with its marks, and write it beside what was saved before.
 
         Args:
-            view: From where.
             width: Of the picture [px], without its colour bar.
             height: Of the picture [px].
-            with_table: Write the table of measurements beside it.
         """
         session = self.session.aside()
 
@@ -287,7 +286,7 @@ class Visitor:
             self._make_pictures_at_start()
         finally:
             self.session.forget_picture()
-            self._panels.clear()
+            self.panels.clear()
             give_back()
 
     def _make_pictures_at_start(self) -> None:

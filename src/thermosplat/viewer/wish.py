@@ -18,7 +18,6 @@ class Wish:
     second: Layer
     """The one that it is compared with."""
     comparison: Comparison = "off"
-    """How."""
     share: float = 0.5
     """Of the width that the first layer has in a wipe; of the second layer in a blend."""
     over: bool = False
@@ -36,11 +35,8 @@ class Shown:
     """A picture that was made, with the values behind it."""
 
     wish: Wish
-    """What it shows."""
     view: Bookmark
-    """From where."""
     layers: dict[Layer, LayerImage]
-    """What was rendered for it."""
     picture: Image8
     """8-bit RGB, shape [H, W, 3]."""
     full: bool

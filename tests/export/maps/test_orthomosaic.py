@@ -57,7 +57,7 @@ def test_tiles_meet_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     model, capture = field_model(np.eye(3))
     grid = MapGrid.covering(MapFrame(np.eye(3)), (-2.0, -1.5, 2.0, 1.5), 0.05, top=3.0)
     whole = render_map(model, "rgb", capture.scales["rgb"], grid, sh_degree=0)
-    monkeypatch.setattr("thermosplat.export.maps.orthomosaic._TILE", 33)
+    monkeypatch.setattr("thermosplat.export.maps.orthomosaic.TILE", 33)
     parts = render_map(model, "rgb", capture.scales["rgb"], grid, sh_degree=0)
     assert whole.shape == (3, 60, 80)
     np.testing.assert_allclose(parts, whole, atol=2e-6)

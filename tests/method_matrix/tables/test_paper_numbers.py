@@ -4,7 +4,7 @@ import statistics
 
 import pytest
 
-from thermosplat.config.files import list_presets
+from thermosplat.config.files import preset_paths
 from thermosplat.method_matrix.tables.paper_numbers import (
     MEANS,
     METHODS,
@@ -35,7 +35,7 @@ def test_the_papers_method_is_ahead_of_all_it_reports() -> None:
 
 def test_methods_are_presets() -> None:
     """Every row of the paper has a preset of ours."""
-    assert set(MEANS) <= set(METHODS) <= set(list_presets())
+    assert set(MEANS) <= set(METHODS) <= set(preset_paths())
 
 
 def test_scenes_are_recognised_by_name() -> None:

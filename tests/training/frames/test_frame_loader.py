@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from thermosplat.training.frames.frame_loader import (
     stored_views,
 )
 from thermosplat.training.frames.frame_slots import places_in_slot, slot_bytes
+from thermosplat.training.frames.reading_processes import ReadingProcesses
 
 ORDER = [5, 2, 7, 2, 0, 1, 9, 4, 3, 8, 6, 5]
 
@@ -104,13 +106,13 @@ def test_what_is_ready_is_known(loader: FrameLoader, monkeypatch: pytest.MonkeyP
         time.sleep(0.001)
     assert not loader.is_ready(1, ORDER[::-1].__getitem__)
     assert not loader.is_ready(2, ORDER.__getitem__)
-    hear = loader._hear
+    answered = ReadingProcesses.answered
 
-    def hear_without_waiting(*, wait: bool) -> None:
+    def answered_at_once(reading: ReadingProcesses, *, wait: bool) -> Any:
         assert not wait
-        hear(wait=wait)
+        return answered(reading, wait=wait)
 
-    monkeypatch.setattr(loader, "_hear", hear_without_waiting)
+    monkeypatch.setattr(ReadingProcesses, "answered", answered_at_once)
     loader.at(1, ORDER.__getitem__, len(ORDER))
 
 
@@ -150,8 +152,9 @@ def test_it_begins_again_after_it_was_closed(loader: FrameLoader, frames: Stored
     loader.close()
     loader.close()
     loader.release(before)
-    assert_is(loader.at(1, ORDER.__getitem__, len(ORDER)), frames, ORDER[1])
-    assert len(set(loader._free)) == len(loader._free)
+    held = [loader.at(place, ORDER.__getitem__, len(ORDER)) for place in range(1, 1 + loader.processes + SPARE_SLOTS)]
+    assert_is(held[0], frames, ORDER[1])
+    assert len({frame.slot for frame in held}) == len(held)
 
 
 def test_kept_frames_are_read_from_the_disk(tmp_path: Path) -> None:
@@ -179,17 +182,25 @@ def test_kept_frames_are_read_from_the_disk(tmp_path: Path) -> None:
     forget_images(capture)
 
 
-def test_an_image_that_is_lost_is_named(tmp_path: Path) -> None:
+def test_an_image_that_is_lost_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """When its step comes, by the error of this process, without the other one's traceback; nothing goes on there."""
     root = write_rgbt_scenes(tmp_path, 8, folders=False)
     loader = FrameLoader(stored(root), 1)
+    lost, answered = [], ReadingProcesses.answered
+
+    def noted(reading: ReadingProcesses, *, wait: bool) -> Any:
+        for slot, error in answered(reading, wait=wait):
+            lost.extend([error] if error else [])
+            yield slot, error
+
+    monkeypatch.setattr(ReadingProcesses, "answered", noted)
     write_image(root / "rgb" / "0003.png", rgb_image(3, 64, 48))
     for place in range(2):
         found = loader.at(place, range(7).__getitem__, 7)
         assert found.index == place
         loader.release(found)
     until = time.monotonic() + 60
-    while not loader._asked[0].done:
+    while not lost:
         assert not loader.is_ready(2, range(7).__getitem__)
         assert time.monotonic() < until
     assert not loader.is_ready(2, range(7).__getitem__)

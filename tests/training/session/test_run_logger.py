@@ -3,7 +3,6 @@
 import errno
 import io
 import json
-import math
 import os
 import sys
 import time
@@ -112,9 +111,8 @@ def test_values_are_read_once_an_interval(tmp_path: Path, monkeypatch: pytest.Mo
     logger.device = torch.device("cuda")
     monkeypatch.setattr(run_logger, "memory_bytes", lambda device: 2**30)
     monkeypatch.setattr(run_logger, "REFRESH_SECONDS", 0.0)
-    reads = []
-    genuine = logger._means
-    monkeypatch.setattr(logger, "_means", lambda: reads.append(1) or genuine())
+    reads, genuine = [], torch.Tensor.tolist
+    monkeypatch.setattr(torch.Tensor, "tolist", lambda tensor: reads.append(1) or genuine(tensor))
     logger.start(0)
     for step in range(1, 11):
         logger.step(_record(step))
@@ -198,12 +196,12 @@ def test_a_run_that_starts_again_has_the_new_lines_alone(tmp_path: Path) -> None
 
 
 def test_infinite_psnr_is_null_in_json(tmp_path: Path) -> None:
-    """A perfect image has no finite PSNR; JSON gets null."""
-    logger, _ = _logger(tmp_path)
+    """A perfect image has no finite PSNR; JSON gets null, and who looks at the line reads it."""
+    logger, output = _logger(tmp_path)
     logger.start(0)
     logger.step(StepRecord(5, {"rgb": torch.tensor(0.0)}, {"rgb": torch.tensor(0.0)}, 1, 0, 1.0))
     assert _entries(tmp_path)[0]["psnr_rgb"] is None
-    assert logger._values["psnr_rgb"] == math.inf
+    assert "rgb inf dB" in output.getvalue()
 
 
 @pytest.mark.parametrize(("long", "said"), [(60.0, False), (0.01, True)])
@@ -263,13 +261,15 @@ def test_full_disk_costs_lines_not_the_training(tmp_path: Path, monkeypatch: pyt
     """Lines that cannot be written are told once, those of TensorBoard too, and every step goes on being said."""
 
     class FullWriter:
+        def __init__(self, *_: object, **__: object) -> None: ...
+
         def add_scalar(self, *_: object) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(run_logger, "open_to_append", lambda path: open("/dev/full", "wb"))  # noqa: SIM115
-    logger, output = _logger(tmp_path)
+    monkeypatch.setattr("torch.utils.tensorboard.SummaryWriter", FullWriter)
+    logger, output = _logger(tmp_path, tensorboard=True)
     logger.start(0)
-    logger._writer = FullWriter()
     for step in range(1, 16):
         logger.step(_record(step))
     logger.close()

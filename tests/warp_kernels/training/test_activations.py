@@ -7,7 +7,9 @@ import pytest
 import torch
 import warp as wp
 
-from warp_kernels.training.activations import activate, activate_adjoint
+from warp_kernels.machinery.lanes import whole_warps
+from warp_kernels.machinery.launching import launch
+from warp_kernels.training.activations import activation_kernels
 
 Second = Literal["offsets", "own", "none"]
 
@@ -52,6 +54,12 @@ class Numbers:
         assert np.isnan(whole.numpy()[len(expected) :]).all()
 
 
+def activate(*inputs: object, adjoint: bool = False) -> None:
+    logits = inputs[1]
+    kernel = activation_kernels(logits.dtype)[adjoint]
+    launch(kernel, whole_warps(len(logits), logits.device), list(inputs), logits.device)
+
+
 def sigmoid(x: np.ndarray) -> np.ndarray:
     return 1.0 / (1.0 + np.exp(-x))
 
@@ -75,7 +83,7 @@ def test_same_as_numpy(device: torch.device, count: int, second: Second, dtype: 
     v_scales, v_opacities, v_thermal = numbers.drawn(count, 3), numbers.drawn(count), numbers.drawn(len(seconds))
     given = [numbers.array(values) for values in (v_scales, v_opacities, v_thermal)]
     gradients = [numbers.room(3), numbers.room(), numbers.room(count=len(seconds))]
-    activate_adjoint(*made, *given, second == "offsets", *gradients)
+    activate(*made, *given, second == "offsets", *gradients, adjoint=True)
     v_seconds = v_thermal * thermal_opacities * (1.0 - thermal_opacities)
     v_logits = v_opacities * opacities * (1.0 - opacities) + (v_seconds if second == "offsets" else 0.0)
     for written, expected in zip(gradients, (v_scales * scales, v_logits, v_seconds), strict=True):
@@ -93,7 +101,7 @@ def test_a_gradient_that_is_not_given_is_zero(device: torch.device, missing: int
     arrays[missing] = arrays[missing][:0]
     given[missing] = np.zeros_like(given[missing])
     gradients = [numbers.room(3), numbers.room(), numbers.room()]
-    activate_adjoint(*map(numbers.array, made), *arrays, True, *gradients)
+    activate(*map(numbers.array, made), *arrays, True, *gradients, adjoint=True)
     v_log_scales = given[0] * made[0]
     v_opacities, v_seconds = (v * y * (1.0 - y) for v, y in zip(given[1:], made[1:], strict=True))
     for written, expected in zip(gradients, (v_log_scales, v_opacities + v_seconds, v_seconds), strict=True):

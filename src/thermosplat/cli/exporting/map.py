@@ -16,10 +16,6 @@ PIXELS_BY_DEFAULT = 1000
 def export_map(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
     """Write ``orthomosaic_<spectrum>.tif`` for the chosen spectra, all on one grid.
 
-    Args:
-        arguments: The command's.
-        folder: Where to write.
-
     Raises:
         UserError: The capture cannot be read, an argument is impossible, or rasterio is missing.
     """

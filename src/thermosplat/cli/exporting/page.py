@@ -21,10 +21,6 @@ _MOST_VIEWS = 200
 def export_page(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
     """Write ``scene.html``.
 
-    Args:
-        arguments: The command's.
-        folder: Where to write.
-
     Raises:
         UserError: The arguments, the capture or the format do not allow it.
     """

@@ -28,10 +28,6 @@ LINE_EVERY = 10.0
 def export_splats(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
     """Write the splats of the chosen spectra.
 
-    Args:
-        arguments: The command's; its format is one of splats.
-        folder: Where to write.
-
     Raises:
         UserError: The arguments, the capture or the format do not allow it.
     """
@@ -97,11 +93,6 @@ def fitted_scene(
 ) -> "tuple[SceneSplats, dict[str, Tensor | slice]]":
     """The splats of the chosen spectra, fitted where there are decoders, and which Gaussians they are made of.
 
-    Args:
-        arguments: The command's: spectra, passes of the fit.
-        frame: Where positions of files count from.
-        colors: What the splats show.
-
     Raises:
         UserError: There is no capture to fit to, or no such spectrum.
     """
@@ -109,7 +100,9 @@ def fitted_scene(
 
     names = arguments.chosen(list(loaded.model.spectra))
     exact = all(loaded.model.formations[name].exact_splats for name in names)
-    if (exact and not _becomes_values(loaded, names, colors)) or arguments.fit_passes == 0:
+    # pseudo-colours become the values that they stand for by a fit alone
+    becomes_values = colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)
+    if (exact and not becomes_values) or arguments.fit_passes == 0:
         unfitted = scene_splats(loaded.model, loaded.scales, names, colors=colors, frame=frame)
         return unfitted, dict.fromkeys(unfitted, slice(None))
     from thermosplat.export.scene import header_comments
@@ -149,19 +142,8 @@ def fitted_scene(
     return scene, sources
 
 
-def _becomes_values(loaded: "LoadedRun", names: list[str], colors: "Colors") -> bool:
-    """Whether pseudo-colours have to become the values that they stand for, which a fit alone does."""
-    return colors == "scalar" and any(loaded.scales[name].kind == "color" for name in names)
-
-
 def shown_steps(steps: Sequence[int], name: str, *, clock: Callable[[], float] = time.monotonic) -> Iterable[int]:
-    """Steps to be done one after the other, shown to whoever waits for them.
-
-    Args:
-        steps: All of them.
-        name: The spectrum whose splats are fitted.
-        clock: Seconds.
-    """
+    """Steps to be done one after the other, shown to whoever waits for them."""
     console = SafeConsole()
     if not console.is_terminal:
         return _with_lines(steps, name, clock)

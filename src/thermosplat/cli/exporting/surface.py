@@ -17,10 +17,6 @@ VOXELS_BY_DEFAULT = 256
 def export_surface(arguments: "ExportArguments", loaded: "LoadedRun", folder: Path) -> None:
     """Write ``points_<spectrum>.ply``, ``points_<spectrum>.las`` or ``mesh_<spectrum>.ply`` for the chosen spectra.
 
-    Args:
-        arguments: The command's.
-        folder: Where to write.
-
     Raises:
         UserError: The capture cannot be read, an argument is impossible, or scikit-image or laspy is missing.
     """

@@ -31,10 +31,6 @@ def check_capture_to_go_on_with(config: "TrainConfig") -> None:
 def capture_and_trainer(argv: list[str], config: "TrainConfig") -> tuple["TrainConfig", "Capture", type["Trainer"]]:
     """What to train with, on and by: images are read while torch and the trainer are imported.
 
-    Args:
-        argv: Arguments of the command, without the program's name.
-        config: The configuration that they ask for.
-
     Returns:
         The configuration, with what the images of a run that begins recommend where the command says nothing else; the
         capture; and the trainer's class.

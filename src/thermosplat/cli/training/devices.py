@@ -14,6 +14,7 @@ from types import FrameType
 
 from thermosplat.cli.errors import print_error
 from thermosplat.cli.host_settings import importing
+from thermosplat.cli.viewer_flags import last_value
 from thermosplat.errors import UserError
 from thermosplat.stop_signals import STOP_SIGNALS, handled_signals
 
@@ -35,12 +36,7 @@ def devices_asked(argv: list[str]) -> int | None:
     """
     if "RANK" in os.environ:
         return None
-    asked = None
-    for word, following in zip(argv, [*argv[1:], ""]):
-        if word == FLAG:
-            asked = following
-        elif word.startswith(f"{FLAG}="):
-            asked = word.removeprefix(f"{FLAG}=")
+    asked = last_value(argv, FLAG)
     if asked is None or asked == "None":
         return None
     if not re.fullmatch(r"[1-9]\d{0,3}", asked):
@@ -52,7 +48,6 @@ def check_devices(devices: int, device: str) -> None:
     """Refuse more devices than there are, before a process is started for each.
 
     Args:
-        devices: How many are asked for.
         device: What ``--device`` says.
 
     Raises:

@@ -21,7 +21,7 @@ from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.cli.training.beginning import capture_and_trainer, check_capture_to_go_on_with
 from thermosplat.cli.training.devices import GRACE, PARENT
 from thermosplat.cli.training.ending import say_what_and_where
-from thermosplat.cli.viewer_flags import viewer_flags
+from thermosplat.cli.viewer_flags import last_value, viewer_flags
 from thermosplat.config.files import data_from_anywhere
 from thermosplat.distributed.lifeline import Lifeline
 from thermosplat.distributed.team import EndedElsewhere, Team
@@ -78,7 +78,7 @@ class RankOfTraining:
             from thermosplat.distributed.joining import join_team
 
         try:
-            team = join_team(_device_asked(self.argv))
+            team = join_team(last_value(self.argv, "--device") or "auto")
             self.lifeline = Lifeline(team, self._tell_death)
         except (RuntimeError, OSError) as error:
             cause = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -193,16 +193,6 @@ class RankOfTraining:
         if self.finish_writing is not None:
             self.finish_writing()
         return self.run.latest_checkpoint() if self.run.ckpts.is_dir() else None
-
-
-def _device_asked(argv: list[str]) -> str:
-    found = "auto"
-    for word, following in zip(argv, [*argv[1:], ""]):
-        if word == "--device":
-            found = following
-        elif word.startswith("--device="):
-            found = word.removeprefix("--device=")
-    return found
 
 
 def _end_with_the_parent() -> None:

@@ -15,10 +15,6 @@ if TYPE_CHECKING:
 def watched(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     """Around a training: serve the viewer meanwhile, if it is asked for.
 
-    Args:
-        trainer: The training.
-        flags: Where it is shown.
-
     Raises:
         UserError: viser is not installed, or the address cannot be served at.
     """
@@ -35,7 +31,6 @@ def watched_by_first(trainer: "Trainer", flags: ViewerFlags) -> Iterator[None]:
     """Around a training on several ranks: let rank 0 serve the viewer meanwhile, if it is asked for there.
 
     Args:
-        trainer: This rank's.
         flags: Where it is shown; what rank 0 has counts.
 
     Raises:

@@ -13,8 +13,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from thermosplat.datasets.cameras import camera_center
-from thermosplat.datasets.colmap.damage import damage_before_reading, is_binary, reason_of
-from thermosplat.datasets.colmap.record_lengths import Damage
+from thermosplat.datasets.colmap.record_lengths import Damage, wrong_lengths
 from thermosplat.datasets.colmap.text_model import write_plain
 from thermosplat.datasets.images.image_folders import describe_folder
 from thermosplat.datasets.lens import Lens
@@ -32,7 +31,6 @@ class RegisteredImage:
 
     Args:
         name: Path of the image relative to the folder COLMAP was run on.
-        lens: Its calibrated camera.
         viewmat: [4, 4] float64, world to camera.
         frame_id: COLMAP's rig frame: images of one exposure of a camera rig share it.
     """
@@ -89,7 +87,6 @@ def check_reconstruction(model: ColmapModel, files: int, root: Path) -> None:
 
     Args:
         files: Image files in the capture that could be in the model.
-        root: The capture's folder.
 
     Raises:
         UserError: Too few registered images, or no points where a sibling model has more images; the hint names the
@@ -206,3 +203,42 @@ def _viewmat(image: pycolmap.Image, name: PurePosixPath, folder: Path) -> NDArra
     viewmat = np.eye(4)
     viewmat[:3] = pose.matrix()
     return viewmat
+
+
+_NEEDED = ("cameras", "images", "points3D")
+_RIG = ("rigs", "frames")
+
+
+def is_binary(folder: Path) -> bool:
+    """Whether pycolmap would read the binary files of a folder, rather than those of text."""
+    return all((folder / f"{name}.bin").is_file() for name in _NEEDED)
+
+
+def damage_before_reading(folder: Path) -> str | None:
+    """Missing files, and binary files that their records do not fill: on some pycolmap hangs or takes all memory."""
+    return _special(folder) or _missing(folder) or wrong_lengths(folder)
+
+
+def reason_of(error: Exception) -> str:
+    """Why pycolmap could not read a model, without the place in its own source."""
+    return " ".join(str(error).rpartition("] ")[2].split()).rstrip(".") or type(error).__name__
+
+
+def _special(folder: Path) -> str | None:
+    """A name of the model's files under which something else lies, such as a pipe, which is read for ever."""
+    files = (f"{name}.{kind}" for name in (*_NEEDED, *_RIG) for kind in ("bin", "txt"))
+    return next((f"{file} is no file" for file in files if (folder / file).exists() != (folder / file).is_file()), None)
+
+
+def _missing(folder: Path) -> str | None:
+    kinds = {kind: [name for name in _NEEDED if not (folder / f"{name}.{kind}").is_file()] for kind in ("bin", "txt")}
+    kind = min(kinds, key=lambda kind: len(kinds[kind]))
+    lacking = kinds[kind]
+    if not lacking:  # a rig is in two files or, before COLMAP 3.12, in none
+        rig = [name for name in _RIG if not (folder / f"{name}.{kind}").is_file()]
+        lacking = rig if len(rig) == 1 else []
+    if not lacking:
+        return None
+    there = ", ".join(sorted(path.name for path in folder.iterdir() if path.suffix == f".{kind}"))
+    names = " and ".join(f"{name}.{kind}" for name in lacking)
+    return f"{names} {'is' if len(lacking) == 1 else 'are'} missing beside {there}"

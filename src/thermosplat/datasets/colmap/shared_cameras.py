@@ -44,9 +44,7 @@ def list_shared_cameras(
     """Files, cameras and points of a capture in one of the two layouts.
 
     Args:
-        root: The capture's folder.
         folder: Images of the first spectrum, which are in the model.
-        spectra: The spectra to look for.
         published: It is RGBT-Scenes' layout, whose spectra are registered to each other.
     """
     frames, notes = _frames_with_borrowed_cameras(root, folder, model.images, spectra)

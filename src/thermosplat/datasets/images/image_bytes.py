@@ -239,11 +239,7 @@ _READERS: dict[bytes, Callable[[Content], ImageHeader | None]] = {
 
 
 def _status(path: Path, file: BinaryIO) -> os.stat_result:
-    """Of an open file that may be read whole.
-
-    Raises:
-        UserError: It is too large.
-    """
+    """Of an open file that may be read whole."""
     status = os.fstat(file.fileno())
     if status.st_size > LARGEST:
         raise UserError(f"{path} has {status.st_size:,} bytes; images have {LARGEST:,} at most.", _RESTORE)

@@ -44,9 +44,6 @@ def looked_for(root: Path, name: str, spectra: Mapping[str, SpectrumConfig], exa
     """What was found where images of a spectrum are looked for, and what to do.
 
     Args:
-        root: The capture's folder.
-        name: The spectrum.
-        spectra: All that were looked for.
         example: An image of another spectrum, as an example of a name.
     """
     usual, *others = folder_names(name, spectra[name])

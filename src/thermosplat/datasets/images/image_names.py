@@ -60,7 +60,6 @@ def frame_names(names: Sequence[PurePosixPath], where: str, folders: Collection[
     Where some would be called the same, all have their train/test in it, or if that is not enough all of their path.
 
     Args:
-        names: One image's name for each frame.
         where: What holds them, for the message.
         folders: As ``folders_of`` has them.
 
@@ -132,10 +131,7 @@ class NamedImages(Generic[T]):
 
     def get(self, name: PurePosixPath, others: "NamedImages[Any]") -> T | None:
         """What is known of the image that belongs to one of another folder; None where there is none.
-
-        Args:
-            name: As of ``find``.
-            others: As of ``find``.
+        The arguments are those of ``find``.
 
         Raises:
             UserError: As ``find``.
@@ -224,13 +220,11 @@ def exposures(images: Mapping[str, NamedImages[Any]]) -> list[Exposure]:
 def files_in(
     folder: Path, source: Source = "auto", *, by_stem: bool = False, folders: Collection[str] = USUAL_FOLDERS
 ) -> NamedImages[Path]:
-    """The image files below a folder.
+    """The image files below a folder. The other arguments are those of ``NamedImages``.
 
     Args:
         folder: May be absent.
         source: What the spectrum's images are, which says what files they may be.
-        by_stem: As of ``NamedImages``.
-        folders: As of ``NamedImages``.
     """
     paths = list_stacks(folder) if source in STACKS else list_images(folder, recursive=True)
     named = [(PurePosixPath(path.relative_to(folder).as_posix()), path) for path in paths]

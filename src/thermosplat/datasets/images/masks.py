@@ -28,7 +28,6 @@ def masks_by_spectrum(root: Path, spectra: Mapping[str, SpectrumConfig]) -> dict
     """The masks of a capture, to be found by the names of their images.
 
     Args:
-        root: The capture's folder.
         spectra: The spectra; a mask in no folder of one is of the first.
     """
     folder, (leading, *others) = image_folder(root, FOLDER), spectra

@@ -125,11 +125,7 @@ class PixelMeaning:
         return SpectrumPixels(image, None if measured_unit(self.unit) is None else values, mask)
 
     def _of_classes(self, file: SpectrumFile) -> SpectrumPixels:
-        """Colours of classes; pixels of none do not count.
-
-        Raises:
-            UserError: The image has colours, or the number of a class that does not exist.
-        """
+        """Colours of classes; pixels of none do not count."""
         numbers = file.display
         if numbers is None or numbers.ndim != 2:
             raise UserError(

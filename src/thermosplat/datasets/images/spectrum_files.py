@@ -33,10 +33,6 @@ def read_spectrum(
     """The images of one spectrum of each frame; None if no frame has one.
 
     Args:
-        root: The capture's folder.
-        name: The spectrum's name.
-        spectrum: Its settings.
-        listing: What the layout knows of the capture.
         ranging: Exposures whose values decide the range, where `frames` are not all; as of ``interpret``.
 
     Raises:
@@ -46,7 +42,9 @@ def read_spectrum(
         return None
     if spectrum.source in STACKS:
         return read_stacks([frame.shots.get(name) for frame in frames], spectrum)
-    files = _read_files([frame.shots.get(name) for frame in frames], spectrum.source)
+    shots = [frame.shots.get(name) for frame in frames]
+    with ThreadPoolExecutor() as pool:
+        files = list(pool.map(lambda shot: None if shot is None else read_shot(shot, spectrum.source), shots))
     present = [file for file in files if file is not None]
     displays = tuple(None if file is None else file.display for file in files)
     if spectrum.source == "photograph":
@@ -98,17 +96,10 @@ def _is_constant(file: SpectrumFile) -> bool:
     return False
 
 
-def _read_files(shots: Sequence[Shot | None], source: Source) -> list[SpectrumFile | None]:
-    """``read_shot`` of each, several at a time; None where there is none."""
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda shot: None if shot is None else read_shot(shot, source), shots))
-
-
 def read_shot(shot: Shot, source: Source) -> SpectrumFile:
     """The files of one exposure: the displayable image, the values, or both.
 
     Args:
-        shot: The exposure.
         source: What the spectrum's images are; of a photograph values beside it are not looked at.
 
     Raises:
@@ -164,11 +155,7 @@ def as_rgb(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _require_8bit(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """The image, if it is 8-bit.
-
-    Raises:
-        UserError: It is not.
-    """
+    """The image, if it is 8-bit."""
     if image.dtype != np.uint8:
         raise UserError(
             f"{path} has {image.dtype} colour; 8-bit colour or one-channel radiometric images are expected."

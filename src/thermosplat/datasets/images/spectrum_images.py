@@ -73,11 +73,9 @@ def interpret(
     """Decide what the images of a spectrum are and turn them into training images.
 
     Args:
-        name: The spectrum's name.
         files: At least one exposure.
         config: The user's choices; they win over everything the capture states.
         palette: Palette of pseudo-coloured images; a scalar is shown with it.
-        statement: What the capture says of its radiometric values.
         grey_range: Temperatures [°C] of black and white in grey images, if the capture states them.
         ranging: Exposures with radiometric values whose extremes are the range, gone through one by one; None:
             `files`.

@@ -68,10 +68,6 @@ def read_stack(path: Path, channels: int) -> NDArray[np.float32]:
     return stack
 
 
-def _npy(path: Path) -> NDArray[Any]:
-    return np.load(BytesIO(read_regular(path)), allow_pickle=False)
-
-
 def _tiff(path: Path) -> NDArray[Any]:
     return tifffile.imread(BytesIO(read_regular(path)))
 
@@ -98,4 +94,4 @@ def _envi(path: Path) -> NDArray[Any]:
     return np.frombuffer(content, kind, count, start).reshape(shape).transpose(order)
 
 
-_READERS = {".npy": _npy, ".hdr": _envi}
+_READERS = {".npy": lambda path: np.load(BytesIO(read_regular(path)), allow_pickle=False), ".hdr": _envi}

@@ -37,7 +37,6 @@ def read_stacks(shots: Sequence[Shot | None], config: SpectrumConfig) -> Spectru
 
     Args:
         shots: By frame, at least one.
-        config: The spectrum's settings.
 
     Raises:
         UserError: A file is not what the settings say.

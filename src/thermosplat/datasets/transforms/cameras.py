@@ -117,11 +117,7 @@ def _listed_coefficients(listed: Any, where: str) -> dict[str, Any]:
 
 
 def _model(stated: dict[str, Any], where: str) -> str:
-    """The camera model of a frame, one of those that are known.
-
-    Raises:
-        UserError: It is another one, or two that contradict each other.
-    """
+    """The camera model of a frame, one of those that are known."""
     flagged = next((flag for flag in _FLAGS if stated.get(flag)), None)
     fisheye = bool(stated.get("is_fisheye"))
     model = str(flagged or stated.get("camera_model") or ("OPENCV_FISHEYE" if fisheye else "OPENCV"))

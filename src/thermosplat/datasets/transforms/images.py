@@ -16,7 +16,6 @@ class ImageFile(NamedTuple):
     """The file of one spectrum of a frame."""
 
     path: Path
-    """The image."""
     values: Path | None
     """Values of more bits beside it, or the image itself; None: there are none."""
     mask: Path | None
@@ -45,9 +44,7 @@ class TransformsImages:
 
     Args:
         root: The capture's folder.
-        path: Its transforms file.
         names: Its frames, by `image_name`.
-        spectra: The spectra to look for.
     """
 
     def __init__(
@@ -74,10 +71,6 @@ class TransformsImages:
 
     def find(self, name: PurePosixPath, entry: dict[str, Any]) -> dict[str, ImageFile] | None:
         """The files of a frame by spectrum, or None if there are none.
-
-        Args:
-            name: Its `image_name`.
-            entry: What the transforms file says of it.
 
         Raises:
             UserError: Several images have one stem, and nothing tells which of them belong together.

@@ -29,9 +29,6 @@ def transforms_points(
     """Points [M, 3], colours [M, 3] uint8, and notes.
 
     Args:
-        root: The capture's folder.
-        file: Name of its transforms file.
-        content: What that file says.
         model_folder: A COLMAP model beside it, or None.
     """
     stated = content.get("ply_file_path")

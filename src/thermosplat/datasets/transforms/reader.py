@@ -37,10 +37,7 @@ def list_transforms(
     """Files, cameras and points of a capture in this layout.
 
     Args:
-        root: The capture's folder.
-        path: Its transforms file.
         model_folder: A COLMAP model beside it, for its points; or None.
-        spectra: The spectra to look for.
 
     Raises:
         UserError: The file lacks intrinsics, poses or frames.

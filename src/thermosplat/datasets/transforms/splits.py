@@ -91,12 +91,7 @@ def check_stated(frames: Sequence[FrameFiles], splits: Splits, path: Path) -> No
 
 
 def with_splits_from_names(frames: Sequence[FrameFiles], names: Sequence[PurePosixPath]) -> list[FrameFiles]:
-    """Splits by words of the names and by folders, if they tell both kinds apart.
-
-    Args:
-        frames: Frames without a split.
-        names: Path of each one's image.
-    """
+    """Splits by words of the names and by folders, if they tell both kinds apart."""
     words = [
         {*_called(frame, name).lower().replace("-", "_").split("_"), *_folders(name)}
         for frame, name in zip(frames, names, strict=True)

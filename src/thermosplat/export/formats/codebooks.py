@@ -13,7 +13,6 @@ def value_codebook(values: NDArray[np.float32], size: int) -> tuple[NDArray[np.f
 
     Args:
         values: Any shape, at least one value.
-        size: Entries of the codebook.
 
     Returns:
         The entries in ascending order, [size], and the nearest entry of each value, of the shape of ``values``.

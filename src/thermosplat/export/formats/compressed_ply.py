@@ -34,8 +34,6 @@ def write_compressed_ply(path: Path, splats: Splats, comments: Iterable[str] = (
 
     Args:
         path: The file, by convention ``*.compressed.ply``.
-        splats: The Gaussians.
-        comments: Lines for the header.
     """
     shown = drawable(splats)
     shown = shown[morton_order(shown.means)]

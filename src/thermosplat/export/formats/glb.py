@@ -27,8 +27,6 @@ def write_glb(path: Path, splats: Splats, *, name: str = "splats") -> WrittenSpl
 
     Args:
         path: The file, ``*.glb``.
-        splats: The Gaussians.
-        name: Name of the mesh.
     """
     shown = turned_y_up(drawable(splats))
     base = np.concatenate([0.5 + SH_C0 * shown.sh0, shown.opacities[:, None]], axis=1)

@@ -50,7 +50,6 @@ def write_splats(
 
     Args:
         path: Where to write; its folder is made where there is none.
-        splats: The Gaussians.
         comments: Lines for the header; text outside ASCII is written as "?".
         compact: Leave out the SH degrees that are zero everywhere.
         scalars: Further properties by name, [N] each, behind the others. CloudCompare shows them as scalar fields

@@ -28,7 +28,6 @@ def write_points(
         points: Positions [world units], [M, 3]; written in their own type, float32 or float64.
         colors: 8-bit RGB, [M, 3].
         scalars: Values of each point by name, [M] each; CloudCompare wants names that begin with "scalar_".
-        comments: Lines for the header.
         faces: Triangles as indices of points, [F, 3]; None: points alone.
     """
     columns: dict[str, NDArray[np.generic]] = {name: points[:, i] for i, name in enumerate("xyz")}

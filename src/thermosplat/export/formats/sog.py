@@ -34,7 +34,6 @@ def write_sog(path: Path, splats: Splats) -> WrittenSplats:
 
     Args:
         path: The file, ``*.sog``.
-        splats: The Gaussians.
 
     Raises:
         UserError: No Gaussian is left to show: the format has no empty scene.

@@ -23,9 +23,7 @@ class Described:
     """Splats with what their file shall say about them."""
 
     splats: Splats
-    """The Gaussians."""
     spectrum: str
-    """Name of the spectrum that they show."""
     comments: Sequence[str] = ()
     """For the header, where the format has room for text."""
 
@@ -49,10 +47,6 @@ _WRITERS: dict[SplatFormat, tuple[str, Callable[[Path, Described], WrittenSplats
 def write_format(format: SplatFormat, folder: Path, scene: Described) -> WrittenSplats:
     """Write ``splat_<spectrum>`` in a format; the file appears at once and whole.
 
-    Args:
-        folder: Where to write; made where there is none.
-        scene: The splats.
-
     Raises:
         UserError: The format cannot hold the scene, or what writes it is not installed.
     """
@@ -63,11 +57,6 @@ def write_format(format: SplatFormat, folder: Path, scene: Described) -> Written
 
 def check_degree(format: str, spectrum: str, splats: Splats) -> None:
     """Refuse harmonics that a format has no room for.
-
-    Args:
-        format: Its name.
-        spectrum: Whose splats these are.
-        splats: The Gaussians.
 
     Raises:
         UserError: They use more.

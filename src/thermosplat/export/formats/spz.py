@@ -31,7 +31,6 @@ def write_spz(path: Path, splats: Splats) -> WrittenSplats:
 
     Args:
         path: The file, ``*.spz``.
-        splats: The Gaussians.
 
     Raises:
         UserError: The scene is too large for the format's fixed point, or its Gaussians are too small or too large.

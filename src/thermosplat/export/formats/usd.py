@@ -18,8 +18,6 @@ def write_usd(path: Path, splats: Splats, *, name: str = "splats") -> WrittenSpl
 
     Args:
         path: The file: ``*.usd`` or ``*.usdc`` for the binary form, ``*.usda`` for text.
-        splats: The Gaussians.
-        name: Name of the prim.
 
     Raises:
         UserError: usd-core is not installed, or is too old to know Gaussians.

@@ -31,7 +31,6 @@ def gps_positions(capture: Capture, spectrum: str) -> dict[str, tuple[float, flo
 
     Args:
         capture: The capture; ``frames.csv`` lies in its folder.
-        spectrum: Whose images.
 
     Raises:
         UserError: The table cannot be read.
@@ -56,12 +55,7 @@ def gps_positions(capture: Capture, spectrum: str) -> dict[str, tuple[float, flo
 
 
 def located_frame(geo: GeoFrame, placement: Placement) -> MapFrame:
-    """The map frame of a capture that says where its world lies.
-
-    Args:
-        geo: What it says.
-        placement: Where the scene lies in the world.
-    """
+    """The map frame of a capture that says where its world lies."""
     note = f"EPSG:{geo.epsg}; {geo.cameras} cameras lie {geo.residual:.2f} m from where GPS has them, in the median."
     offset = geo.to_utm(np.array(placement.origin))
     return MapFrame(geo.rotation, geo.scale * placement.unit, offset, f"EPSG:{geo.epsg}", note)
@@ -105,7 +99,6 @@ def aligned_frame(centres: NDArray[np.float64], places: NDArray[np.float64], crs
     Args:
         centres: In the world, [V, 3].
         places: East, north, up [m], [V, 3].
-        crs: The map's coordinate system.
 
     Raises:
         UserError: No similarity fits.

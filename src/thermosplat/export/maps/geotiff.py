@@ -48,9 +48,6 @@ def write_geotiff(
         north: Coordinate of its upper edge.
         pixel: Side of a pixel, in the unit of the coordinates.
         crs: Coordinate system; None: local coordinates.
-        names: What each band is.
-        unit: Unit of the values.
-        tags: Further facts about the map, as text.
     """
     rasterio = rasterio_module()
     transform = rasterio.transform.from_origin(west, north, pixel, pixel)

@@ -103,7 +103,6 @@ def local_frame(capture: Capture, spectrum: str, up: tuple[float, float, float] 
     Cameras that all look one way look down. Others are held upright: up is the mean of what is up in their images.
 
     Args:
-        spectrum: Whose training cameras are looked at.
         up: What is up in the world; None: found by the cameras.
 
     Raises:

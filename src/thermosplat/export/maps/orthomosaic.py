@@ -20,7 +20,7 @@ from thermosplat.thermography.scene_temperatures import SceneTemperatures
 
 MOST_PIXELS = 1 << 28
 """Of a map: 1 GiB per band."""
-_TILE = 2048
+TILE = 2048
 """Side of what is rendered at once [px]."""
 
 
@@ -29,7 +29,6 @@ class MapGrid:
     """The pixels of a map."""
 
     frame: MapFrame
-    """Its coordinates."""
     west: float
     """Left edge."""
     north: float
@@ -37,9 +36,7 @@ class MapGrid:
     pixel: float
     """Side of a pixel, the ground sampling distance [map units]."""
     width: int
-    """Columns."""
     height: int
-    """Rows."""
     top: float
     """Height [map units] from which the map is seen; what lies above is left out."""
 
@@ -50,9 +47,7 @@ class MapGrid:
         """The grid of an extent.
 
         Args:
-            frame: The map's coordinates.
             extent: West, south, east, north.
-            pixel: Ground sampling distance.
             top: Height from which the map is seen.
 
         Raises:
@@ -90,7 +85,6 @@ class MapGrid:
 
         Args:
             frame: As of ``covering``.
-            leading: The spectrum whose cameras are looked at.
             extent: As of ``covering``; None: what the cameras saw.
             pixel: As of ``covering``; None: so that the longer side has ``pixels``.
             pixels: Along the longer side.
@@ -134,9 +128,9 @@ class MapGrid:
 
     def tiles(self) -> Iterator[tuple[int, int, int, int]]:
         """Left column, upper row, columns and rows of the parts that are rendered one after the other."""
-        for upper in range(0, self.height, _TILE):
-            for left in range(0, self.width, _TILE):
-                yield left, upper, min(_TILE, self.width - left), min(_TILE, self.height - upper)
+        for upper in range(0, self.height, TILE):
+            for left in range(0, self.width, TILE):
+                yield left, upper, min(TILE, self.width - left), min(TILE, self.height - upper)
 
 
 @torch.no_grad()
@@ -152,9 +146,6 @@ def render_map(
     """A spectrum from above.
 
     Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
         temperatures: How temperatures are recalculated; None: they are not. The path through the air is then that from
             the map's top.
 
@@ -192,8 +183,6 @@ def write_map(
     Args:
         path: The file, ``*.tif``.
         picture: [B, H, W].
-        name: The spectrum.
-        scale: What its pixel values mean.
         recalculated: How temperatures were recalculated (``SceneTemperatures.text``); "": they were not.
 
     Raises:

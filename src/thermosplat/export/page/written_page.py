@@ -31,9 +31,7 @@ class PageLayer:
     """A spectrum."""
 
     key: str
-    """Its name in the run."""
     name: str
-    """Its name for people."""
     splats: Splats
     """In the page's frame; of a spectrum of values their colours are its intensity."""
     is_value: bool
@@ -72,9 +70,7 @@ def page_of(scene: PageScene, layers: Sequence[PageLayer], palette: Palette) -> 
     """The file's text.
 
     Args:
-        scene: What is known of the scene.
         layers: Its spectra, at least one.
-        palette: That of its values, to begin with.
     """
     room = files(__package__)
     script = '"use strict";\n(() => {\n' + "".join(room.joinpath(name).read_text("utf-8") for name in SCRIPTS) + "})();"

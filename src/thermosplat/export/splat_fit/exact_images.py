@@ -18,24 +18,14 @@ _EXACT_PSNR = 100.0
 
 
 class ExactImages:
-    """Images of a model and of splats that are comparable: the same camera, colours and background.
-
-    Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
-        colors: What the splats show.
-    """
-
-    def __init__(self, model: SceneModel, name: str, scale: PixelScale, sh_degree: int, colors: Colors) -> None:
-        self.model, self.name, self.scale, self.sh_degree, self.colors = model, name, scale, sh_degree, colors
-        self.background = self._background()
+    """Images of a model and of splats that are comparable: the same camera, colours and background."""
 
     @torch.no_grad()
-    def _background(self) -> Tensor:
+    def __init__(self, model: SceneModel, name: str, scale: PixelScale, sh_degree: int, colors: Colors) -> None:
+        self.model, self.name, self.scale, self.sh_degree, self.colors = model, name, scale, sh_degree, colors
+        empty = model.formations[name].behind(model.background)
+        self.background = shown_colors(empty[None, None].clamp(0, 1), scale, colors)[0, 0]
         """What the model shows where there are no Gaussians, [3]; splats shall not take it up."""
-        empty = self.model.formations[self.name].behind(self.model.background)
-        return shown_colors(empty[None, None].clamp(0, 1), self.scale, self.colors)[0, 0]
 
     @torch.no_grad()
     def image(self, view: ViewTensors) -> Tensor:

@@ -47,7 +47,6 @@ class FitSteps:
         """Do one step.
 
         Args:
-            view: The camera, a pinhole.
             share: Of the first step sizes, to be taken now.
         """
         self.learning.set_rates(share)
@@ -81,7 +80,6 @@ class FitSteps:
         """Improve the splats, unless pairs found no room.
 
         Args:
-            view: The camera.
             fixed_room: Render without reading numbers of pairs back.
         """
         adam = self.learning.adam

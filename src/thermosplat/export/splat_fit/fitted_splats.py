@@ -72,9 +72,6 @@ def fit_splats(
     """Splats of one spectrum that are fitted to the exact render.
 
     Args:
-        model: The trained scene.
-        name: The spectrum.
-        scale: What its pixel values mean.
         views: Cameras of training, between which the fit takes place; distortions of lenses are left out.
         sh_degree: Highest SH degree in use, of the model and of the splats.
         measured: Cameras to measure in. None given: those of ``views``.
@@ -105,16 +102,12 @@ def fit_splats(
         if step in relocations:
             learning.relocate(exact, views, generator)
         cameras = cameras or between.draw(torch.randperm(len(views), generator=generator).tolist(), generator)
-        fit.run(cameras.pop(), _share_of_rate(step / steps))
+        share = LAST_SHARE + (1.0 - LAST_SHARE) * 0.5 * (1.0 + math.cos(math.pi * (step / steps)))
+        fit.run(cameras.pop(), share)
     after = exact.mean_psnr(learning.detached(), measured or views)
     if after <= before:  # it was as good as the passes can make it
         return FittedSplats(unfitted, torch.arange(len(learning.sources)), before, before)
     return FittedSplats(learning.detached(), learning.sources, before, after)
-
-
-def _share_of_rate(done: float) -> float:
-    """The step size of that at the start, where a share of the steps in [0, 1] is done."""
-    return LAST_SHARE + (1.0 - LAST_SHARE) * 0.5 * (1.0 + math.cos(math.pi * done))
 
 
 class ViewsBetween:

@@ -94,8 +94,6 @@ class LearningSplats:
         """Move faint splats; what has changed starts again with moments of zero.
 
         Args:
-            exact: What the splats shall show.
-            views: Where that is measured.
             generator: On the host; draws where they move.
         """
         splats = self.detached()

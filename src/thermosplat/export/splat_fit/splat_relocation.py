@@ -37,8 +37,6 @@ def errors_of_splats(splats: Splats, exact: ExactImages, views: Sequence[ViewTen
     """The squared error that lies in the pixels of each splat, [N].
 
     Args:
-        splats: As they are now.
-        exact: What they shall show.
         views: Where to measure; of many views some.
     """
     total = torch.zeros_like(splats.logit_opacities)
@@ -75,7 +73,6 @@ def relocate(splats: Splats, moved: Tensor, onto: Tensor) -> None:
     """Divide splats between themselves and others, in place.
 
     Args:
-        splats: Their tensors are written to.
         moved: Indices of those that take a half, [n].
         onto: Indices of those that give it, all different and none of them moved, [n].
     """

@@ -27,7 +27,6 @@ class DepthView:
     """One view. All spectra are rendered by its camera, whichever camera took them."""
 
     view: ViewTensors
-    """The camera, a pinhole."""
     depth: Tensor
     """z-depth in the scene's frame, [H, W]; 0 where there is none."""
     colors: Tensor
@@ -50,10 +49,8 @@ def depth_view(
     """Render a view.
 
     Args:
-        model: The trained scene.
         name: The spectrum whose depth and colours are taken.
         view: Its camera; a distortion of the lens is left out.
-        scales: What pixel values mean, by spectrum.
         temperatures: How temperatures are recalculated; None: they are not.
     """
     pinhole = view.as_pinhole()
@@ -109,10 +106,7 @@ def depth_points(
     """The surface that a spectrum sees, as points: pixels of the views at their depths.
 
     Args:
-        model: The trained scene.
-        name: The spectrum.
         views: Cameras, those of training.
-        scales: What pixel values mean, by spectrum.
         most: Points at most; each view gives its share, at random.
         temperatures: As of ``depth_view``.
     """
@@ -143,6 +137,5 @@ def placed_points(points: NDArray[np.floating], placement: Placement) -> NDArray
 
     Args:
         points: In the scene's frame.
-        placement: Where it lies in the world.
     """
     return placement.to_world(points).astype(np.float64 if placement.is_moved else np.float32)

@@ -54,10 +54,6 @@ def tsdf_mesh(
     """The mesh of a spectrum.
 
     Args:
-        model: The trained scene.
-        name: The spectrum whose depth is fused.
-        views: Cameras, those of training.
-        scales: What pixel values mean, by spectrum.
         bounds: Lowest and highest coordinates [world units] of what is meshed, [3] each.
         voxel: Side of a voxel [world units], > 0.
         temperatures: How temperatures are recalculated; None: they are not.

@@ -25,11 +25,8 @@ class Duel(NamedTuple):
     """A comparison: a method against the best of its rivals, whichever that is in a column of the table."""
 
     method: str
-    """The method."""
     over: str
-    """What to call the rivals."""
     rivals: Sequence[str]
-    """The others."""
 
 
 class Margin(NamedTuple):
@@ -38,7 +35,6 @@ class Margin(NamedTuple):
     value: float
     """The difference, positive where the method is better."""
     rival: str
-    """The best of the others."""
 
 
 def margins_table(results: Results) -> Table:
@@ -74,8 +70,6 @@ def margin(scores: Mapping[str, float | None], duel: Duel, metric: str) -> Margi
     """A method's margin over the best of its rivals.
 
     Args:
-        scores: The metric by method.
-        duel: Who is compared with whom.
         metric: Which metric; says whether more is better.
 
     Returns:

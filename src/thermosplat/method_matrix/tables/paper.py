@@ -86,7 +86,7 @@ def cost_table(results: Results) -> Table:
         "Gaussians": (lambda cell: cell.num_gaussians, "{:,.0f}"),
         "model [MB]": (lambda cell: cell.model_bytes / 1e6, "{:.1f}"),
         "training [min]": (lambda cell: cell.train_minutes, "{:.1f}"),
-        "peak memory [GiB]": (lambda cell: _gibibytes(cell.peak_memory_bytes), "{:.2f}"),
+        "peak memory [GiB]": (lambda cell: cell.peak_memory_bytes and cell.peak_memory_bytes / 2**30, "{:.2f}"),
         "frames / s": (lambda cell: cell.frames_per_second, "{:.1f}"),
     }
     rows: list[tuple[str, ...]] = []
@@ -116,10 +116,6 @@ def metric_values(results: Results, scene: str, method: str, spectrum: str, metr
 
 def _listed(value: float | None) -> list[float]:
     return [] if value is None else [value]
-
-
-def _gibibytes(size: int | None) -> float | None:
-    return None if size is None else size / 2**30
 
 
 def _lpips_note(results: Results) -> str:

@@ -83,12 +83,7 @@ def paper_mean(method: str, spectrum: str, metric: str, scenes: list[str]) -> fl
 
 
 def others_means(metric: str, scenes: list[str]) -> dict[str, float]:
-    """What authors of methods that are not here report as their mean over these very scenes, by method.
-
-    Args:
-        metric: Name of a metric of thermal images.
-        scenes: The scenes' names.
-    """
+    """What authors of methods that are not here report as their mean over these very scenes, by method."""
     names = {plain_name(scene) for scene in scenes}
     ten = {plain_name(scene) for scene in COLLECTIONS["thermoscenes"].scenes}
     return {"thermonerf": THERMONERF_MAE} if metric == f"{MAE}{CELSIUS}" and names == ten else {}

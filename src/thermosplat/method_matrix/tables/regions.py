@@ -15,7 +15,8 @@ def region_table(results: Results) -> Table | None:
     columns = region_columns([numbers for cell in results.cells.values() for numbers in (cell.regions or {}).values()])
     rows: list[tuple[str, ...]] = []
     for region in REGIONS:
-        scenes = [scene for scene in results.scenes() if _has(results, scene, region)]
+        having = {cell.scene for cell in results.cells.values() if region in (cell.regions or {})}
+        scenes = [scene for scene in results.scenes() if scene in having]
         for scene in scenes:
             for method in results.methods():
                 numbers = [_values(results, scene, method, region, column) for column in columns]
@@ -36,10 +37,6 @@ def region_table(results: Results) -> Table | None:
     )
     headings = [column.heading for column in columns]
     return Table("regions", title, ("region", "scene", "method", *headings), tuple(rows), labels=3)
-
-
-def _has(results: Results, scene: str, region: str) -> bool:
-    return any(region in (cell.regions or {}) for cell in results.cells.values() if cell.scene == scene)
 
 
 def _values(results: Results, scene: str, method: str, region: str, column: Column) -> list[float]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from thermosplat.runs.atomic_writes import write_text
 
-_LATEX_SPECIAL = {"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "°": r"$^\circ$", "±": r"$\pm$"}
+_LATEX_SPECIAL = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "°": r"$^\circ$", "±": r"$\pm$"})
 
 
 @dataclass(frozen=True)
@@ -15,11 +15,9 @@ class Table:
     """Text in rows and columns; the first columns say what a row is, the others hold numbers."""
 
     name: str
-    """Stem of its files."""
     title: str
     """One sentence: what it shows."""
     columns: tuple[str, ...]
-    """Headings."""
     rows: tuple[tuple[str, ...], ...]
     """As many entries as columns each."""
     labels: int = 1
@@ -40,7 +38,8 @@ class Table:
     def latex(self) -> str:
         """The table as a LaTeX tabular with booktabs' rules."""
         shape = "l" * self.labels + "r" * (len(self.columns) - self.labels)
-        lines = [" & ".join(_escaped(text) for text in line) + r" \\" for line in (self.columns, *self.rows)]
+        cells = [[text.translate(_LATEX_SPECIAL) for text in line] for line in (self.columns, *self.rows)]
+        lines = [" & ".join(line) + r" \\" for line in cells]
         body = "\n".join(lines[1:])
         return (
             f"% {self.title}\n\\begin{{tabular}}{{{shape}}}\n\\toprule\n{lines[0]}\n\\midrule\n{body}\n"
@@ -65,7 +64,3 @@ def write_own_table(out: Path, table: Table) -> None:
 def _write_table(out: Path, table: Table) -> None:
     write_text(out / f"{table.name}.csv", table.csv())
     write_text(out / f"{table.name}.tex", table.latex())
-
-
-def _escaped(text: str) -> str:
-    return "".join(_LATEX_SPECIAL.get(letter, letter) for letter in text)

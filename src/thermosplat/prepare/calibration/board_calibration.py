@@ -25,13 +25,7 @@ _AGREES = 10.0
 
 @dataclass(frozen=True, eq=False)
 class SeenPair:
-    """One exposure of the board.
-
-    Args:
-        name: What it is called in messages.
-        rgb: The board in the photograph.
-        thermal: The board in the thermal image.
-    """
+    """One exposure of the board."""
 
     name: str
     rgb: SeenBoard
@@ -43,7 +37,6 @@ class BoardCalibration:
     """The rig, and how well it explains the boards.
 
     Args:
-        rig: Lenses and pose.
         errors: [N, 2] root mean square reprojection error of each pair in photograph and thermal image [px].
     """
 
@@ -57,8 +50,6 @@ def calibrate_rig(
     """Lenses and pose that fit all pairs best.
 
     Args:
-        pairs: Boards that both cameras have seen.
-        board: The board.
         rgb_size: Width and height of the photographs [px].
         thermal_size: Width and height of the thermal images [px].
     """

@@ -34,10 +34,7 @@ def calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) ->
     """Write ``calibration.json`` and ``check/calibration.png``.
 
     Args:
-        capture: The capture.
-        rgb: Folder with photographs of the board.
         thermal: Folder with thermal images of the board, as many, in the same order of names.
-        board: The board.
 
     Raises:
         UserError: Folders do not go together, or too few boards are found; with what was found.
@@ -93,11 +90,7 @@ def _calibrate(capture: CaptureFolder, rgb: Path, thermal: Path, board: Board) -
 
 
 def _refuse_another_size(images: Sequence[NDArray[np.generic]], board: Board) -> None:
-    """Refuse to go on where the board has other numbers of corners than was stated.
-
-    Raises:
-        UserError: Half of these images or more show one checkerboard, and it is another one.
-    """
+    """Refuse to go on where the board has other numbers of corners than was stated."""
     if board.kind != "checkerboard":
         return
     sizes = Counter(size for image in images if (size := seen_checkerboard(image)) is not None)

@@ -24,8 +24,6 @@ class RigCalibration:
     """Two cameras on one mount.
 
     Args:
-        rgb: Lens of the photographs' camera.
-        thermal: Lens of the thermal camera.
         thermal_from_rgb: [4, 4] pose of the photographs' camera in the thermal camera's axes [m].
     """
 

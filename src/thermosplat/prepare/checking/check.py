@@ -119,9 +119,6 @@ def is_posed(root: Path) -> bool:
 def read_findings(root: Path) -> list[Finding]:
     """What training would say of a capture before its first step, and what is probably wrong with it.
 
-    Args:
-        root: A folder with images and poses.
-
     Raises:
         UserError: It cannot be trained on.
     """

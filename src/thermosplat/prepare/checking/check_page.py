@@ -23,9 +23,6 @@ def check_page(
     """The page.
 
     Args:
-        title: Name of the capture.
-        findings: What was found.
-        estimate: How the training will go, in words.
         pictures: A caption and a picture [H, W, 3] for each pair.
     """
     items = "\n".join(f'<li class="{one.level}">{html.escape(one.sentence)}</li>' for one in findings)

@@ -20,8 +20,6 @@ class PlaneWarp:
     """A registered pair.
 
     Args:
-        photograph: Lens of the photograph.
-        thermal: Lens of the thermal image.
         thermal_from_photograph: [4, 4] from one camera's coordinates to the other's.
         depth: Of the plane before the photograph's camera [world units].
     """
@@ -58,7 +56,6 @@ def read_warps(sparse: Path, pairs: Sequence[tuple[str, str]]) -> Mapping[tuple[
     """Warps of the pairs that are registered, by the pair.
 
     Args:
-        sparse: Folder of the COLMAP model.
         pairs: Names as the model has them: rgb/0001.jpg, thermal/0001.png.
     """
     model = read_model(sparse)

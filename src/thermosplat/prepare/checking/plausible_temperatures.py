@@ -26,13 +26,7 @@ _READINGS = (
 
 
 def temperature_notes(spectrum: str, views: Sequence[View], scale: PixelScale) -> list[str]:
-    """Sentences (at most two) on temperatures that are unusual, and on a palette that does not hold them.
-
-    Args:
-        spectrum: Whose images these are.
-        views: Some of its images.
-        scale: What their pixels mean.
-    """
+    """Sentences (at most two) on temperatures that are unusual, and on a palette that does not hold them."""
     if scale.unit != CELSIUS or scale.range is None:
         return []
     notes = []

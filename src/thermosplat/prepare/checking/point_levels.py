@@ -36,7 +36,6 @@ class PointLevels:
     Args:
         levels: By file, in the images' unit.
         deviation: Standard deviation of one level, as the residuals say.
-        points: Points that were looked at.
     """
 
     levels: Mapping[str, float]

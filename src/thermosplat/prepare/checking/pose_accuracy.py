@@ -67,9 +67,6 @@ class _Features(NamedTuple):
 def pose_accuracy(views: Sequence[View]) -> PoseAccuracy | None:
     """How far photographs are from showing what their poses say.
 
-    Args:
-        views: Photographs.
-
     Returns:
         Distances; None where too few photographs share enough, or a lens is in the way.
     """
@@ -118,8 +115,6 @@ def _distances(first: _Features, second: _Features, relative: Array) -> tuple[fl
     """Median distances of the matches of two photographs from the stated and from a fitted relative pose [px].
 
     Args:
-        first: Of one photograph.
-        second: Of the other.
         relative: [4, 4], from the first camera to the second one.
     """
     one, other = _matched(first, second)

@@ -101,9 +101,7 @@ def projected(view: View, pose: Array, focal: float, places: Array) -> tuple[Arr
     """Where points fall in an image.
 
     Args:
-        view: The image.
         pose: [4, 4], world to camera, in the place of its own.
-        focal: What its focal lengths are multiplied by.
         places: Points [M, 3] [world units].
 
     Returns:
@@ -138,7 +136,6 @@ def unseen_share(views: Sequence[View], points: NDArray[np.floating]) -> float:
     """Share of the points that lie in none of the images, before the cameras of some of them.
 
     Args:
-        views: The images.
         points: Sparse points [M, 3] [world units].
     """
     places = points[:: max(1, len(points) // _MOST_POINTS)].astype(np.float64)

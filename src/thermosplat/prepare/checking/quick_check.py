@@ -34,13 +34,7 @@ exposure have up to 0.12."""
 def quick_findings(
     capture: Capture, spectra: Mapping[str, SpectrumConfig], refined: Collection[str] = ()
 ) -> list[Finding]:
-    """What is probably wrong, and a sensor that drifts without the training allowing for it.
-
-    Args:
-        capture: The capture, read.
-        spectra: The settings that it will be trained with.
-        refined: What of the cameras training corrects.
-    """
+    """What is probably wrong, and a sensor that drifts without the training allowing for it."""
     drifts = (Finding("warning", note) for note in drift_notes(capture, spectra))
     return [*wrong_findings(capture, spectra, refined), *drifts]
 
@@ -48,13 +42,7 @@ def quick_findings(
 def wrong_findings(
     capture: Capture, spectra: Mapping[str, SpectrumConfig], refined: Collection[str] = ()
 ) -> list[Finding]:
-    """A sentence on each thing that is probably wrong with a capture that can be read, and settings that help.
-
-    Args:
-        capture: The capture, read.
-        spectra: The settings that it will be trained with.
-        refined: What of the cameras training corrects.
-    """
+    """A sentence on each thing that is probably wrong with a capture that can be read, and settings that help."""
     frames = sorted((*capture.train, *capture.test), key=lambda frame: frame.name)
     if capture.on_disk is not None:
         frames = [_in_memory(frame) for frame in frames[:: -(-len(frames) // _READ_FROM_DISK)]]
@@ -126,12 +114,7 @@ def _views(frames: Sequence[Frame], spectrum: str) -> list[View]:
 
 
 def drift_notes(capture: Capture, spectra: Mapping[str, SpectrumConfig]) -> list[str]:
-    """Notes on sensors that drift without the training allowing for it.
-
-    Args:
-        capture: The capture, read.
-        spectra: The settings that it will be trained with.
-    """
+    """Notes on sensors that drift without the training allowing for it."""
     notes = []
     for name, scale in capture.scales.items():
         if scale.kind != "scalar":

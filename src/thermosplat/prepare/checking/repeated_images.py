@@ -23,7 +23,6 @@ def repeated_notes(spectrum: str, train: Sequence[View], test: Sequence[View]) -
     """Sentences (at most three) on images of one value, on held-out images that are trained on, and on images twice.
 
     Args:
-        spectrum: Whose images these are.
         train: Training images.
         test: Held-out images.
     """

@@ -81,7 +81,6 @@ def orientation_as_registered(
 
     Args:
         pairs: Photographs [H, W, 3] and thermal images [H, W] or [H, W, 3], at least 8 of them.
-        warps: The cameras of each pair.
     """
     if len(pairs) < _LEAST_PAIRS:
         return None

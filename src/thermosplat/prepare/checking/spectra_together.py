@@ -67,7 +67,6 @@ def together_notes(
     """A sentence (none or one) on images that do not show what the photographs beside them show.
 
     Args:
-        spectrum: Whose images these are.
         pairs: Photographs, and images of the spectrum, in the order of their names.
         points: Sparse points [M, 3] [world units].
         posed: Whether cameras and points are to be believed, without which shifts say nothing.

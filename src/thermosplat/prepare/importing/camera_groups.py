@@ -60,9 +60,6 @@ class Groups:
 def group_files(files: Sequence[SourceFile]) -> Groups:
     """Tell photographs from thermal files.
 
-    Args:
-        files: All images of a folder.
-
     Returns:
         Files of "rgb" and "thermal", each perhaps none.
 
@@ -110,11 +107,7 @@ def named_role(name: str) -> str:
 
 
 def _refuse_further_folders(files: Sequence[SourceFile]) -> None:
-    """Refuse images in a folder of their own that no name tells, beside named photographs and thermal files.
-
-    Raises:
-        UserError: There are some: images of a further spectrum, or what does not belong to the capture.
-    """
+    """Refuse images in a folder of their own that no name tells, beside named photographs and thermal files."""
     named: dict[str, set[PurePosixPath]] = {}
     for file in files:
         named.setdefault(named_role(file.name), set()).add(PurePosixPath(file.name).parent)
@@ -214,8 +207,6 @@ def one_camera(
     """Images of one camera at one size.
 
     Args:
-        spectrum: Name of the spectrum.
-        files: Its images.
         take_most: Of several cameras or sizes take the most frequent.
         turn_back: Degrees by which images whose sides are swapped are turned clockwise; None: they are refused.
 

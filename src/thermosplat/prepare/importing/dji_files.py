@@ -54,11 +54,8 @@ class DjiFile:
     """What an R-JPEG holds.
 
     Args:
-        path: The file.
-        exif: Its EXIF data.
         layout: The part of DJI's SDK that reads it: "iirp", "hirp", "girp", "dirp", or "" for one that is not known.
         stored: [H, W] uint16, as the sensor's values are stored.
-        parameters: What the file states of object and air.
         state: The camera's state, as bytes.
         content: The whole file.
     """
@@ -132,7 +129,6 @@ def is_dji_thermal(content: bytes, make: str | None) -> bool:
     """Whether a JPEG is DJI's with the values of a thermal sensor inside, whole or not.
 
     Args:
-        content: The file.
         make: Its maker by EXIF data, which a program may have dropped.
     """
     states_it = joined(content, _APP4).startswith((_MAGIC, _DIRP))

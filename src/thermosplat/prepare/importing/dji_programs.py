@@ -44,7 +44,6 @@ class Conversion:
 
     Args:
         outputs: What was written for each file: raw floats or a TIFF.
-        programs: The program that wrote it.
         failures: Why a program could not convert a file, by the file.
     """
 

@@ -39,7 +39,6 @@ def with_flight_data(exif: Exif, packet: bytes) -> Exif:
     Positions in XMP are the same as those in EXIF data, with more digits. Zero latitude and longitude are no position.
 
     Args:
-        exif: From the file's EXIF data.
         packet: The file's XMP packet; empty for none.
     """
     fields = xmp_fields(packet)

@@ -60,7 +60,6 @@ class FlirImage:
 
     Args:
         counts: [H, W] uint16.
-        camera: The calibration.
         span: Lowest and highest temperature that the camera can measure [°C], as the file states them.
         photograph: The bytes of the photograph of the same moment (JPEG or PNG), if there is one.
     """

@@ -36,10 +36,6 @@ def import_files(folder: Path | None, capture: CaptureFolder, options: ImportOpt
     Args:
         folder: Where to look, at any depth; None if the options name the folder of every spectrum.
         capture: The capture to make. Images of an import that was interrupted are kept.
-        options: What the user says about the files.
-
-    Returns:
-        What was found.
 
     Raises:
         UserError: The files are not what a capture can be made of.
@@ -193,11 +189,7 @@ def _embedded(
 
 
 def _further(rows: Sequence[FrameRow]) -> list[str]:
-    """How many images of each further spectrum have the name of a photograph, whose camera they take.
-
-    Raises:
-        UserError: None of a spectrum has.
-    """
+    """How many images of each further spectrum have the name of a photograph, whose camera they take."""
     stems = {PurePosixPath(row.file).stem for row in rows if row.spectrum == LEADING}
     said = []
     for spectrum in dict.fromkeys(row.spectrum for row in rows if row.spectrum not in (LEADING, OTHER)):

@@ -18,7 +18,6 @@ class ImportOptions:
         skip_unreadable: Leave out files that cannot be read.
         turn_back: Degrees by which images whose sides are swapped against the others' are turned clockwise; None: such
             images are refused.
-        thermal: How thermal files are turned into values.
     """
 
     folders: Mapping[str, str] = field(default_factory=dict)

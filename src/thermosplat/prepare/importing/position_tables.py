@@ -36,10 +36,6 @@ class _Position:
 def with_tables(files: Sequence[SourceFile], root: Path) -> tuple[list[SourceFile], list[str]]:
     """Images with the positions that tables below a folder state.
 
-    Args:
-        files: The images.
-        root: The folder.
-
     Returns:
         The images in the same order, and what was found.
     """

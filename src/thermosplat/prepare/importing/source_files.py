@@ -19,10 +19,10 @@ from thermosplat.datasets.images.jpeg_segments import is_whole_jpeg
 from thermosplat.datasets.images.jpeg_warnings import damaged_jpegs
 from thermosplat.errors import UserError
 from thermosplat.prepare.capture_folder import Exif, FrameRow
+from thermosplat.prepare.counted import agreeing, counted
 from thermosplat.prepare.importing.dji_files import is_dji_thermal
 from thermosplat.prepare.importing.exif import parse_exif, read_exif
 from thermosplat.prepare.importing.flir_files import is_flir
-from thermosplat.prepare.importing.foreign_formats import foreign_sentences
 from thermosplat.prepare.importing.video_frames import VIDEO_SUFFIXES, describe_video, moment, read_video_frame
 from thermosplat.printing import printable
 from thermosplat.regular_files import files_below
@@ -37,7 +37,6 @@ class SourceFile:
     """One image that a camera wrote.
 
     Args:
-        path: Its file.
         name: The file's path relative to the folder that is imported.
         kind: "color" and "grey" have 8 bits, "values" more; "flir" and "dji" are JPEGs with radiometric data inside.
         width: [px] of the stored pixels.
@@ -83,8 +82,6 @@ class SourceFile:
         """The row of frames.csv for an image of a capture that is made of this one.
 
         Args:
-            spectrum: Its spectrum.
-            file: Its name in the capture.
             width: [px].
             height: [px].
         """
@@ -120,8 +117,6 @@ def read_folder(
     Args:
         folder: The folder. Folders of pictures of a board, hidden ones and prepared captures are left out.
         every: Of a video every so many frames are taken.
-        skip: Further folders to leave out.
-        progress: Passes the files on and shows how far it is.
 
     Raises:
         UserError: There is no such folder.
@@ -202,3 +197,34 @@ def _video_frames(path: Path, folder: Path, every: int) -> list[SourceFile]:
     count, rate, width, height = describe_video(path)
     first = SourceFile(path, path.relative_to(folder).as_posix(), "color", width, height, Exif(), 0)
     return [replace(first, frame=number, exif=Exif(time=moment(number / rate))) for number in range(0, count, every)]
+
+
+_MAKERS: dict[str, tuple[str, ...]] = {
+    "FLIR's raw files and sequences: FLIR Thermal Studio or Research Studio exports them": (
+        *(".seq", ".csq", ".fff", ".fcf", ".ats", ".ptw", ".sfmov"),
+    ),
+    "Fluke's: SmartView or Fluke Connect exports them": (".is2", ".is3"),
+    "Testo's: IRSoft exports them": (".bmt", ".vmt"),
+    "InfraTec's: IRBIS exports them": (".irb",),
+    "InfiRay's: the camera's own program exports them": (".irg",),
+    "Optris's: PIX Connect exports them": (".ravi",),
+    "Workswell's sequences: CorePlayer or ThermoFormat exports them": (".wseq",),
+}
+_OF_SUFFIX = {suffix: maker for maker, suffixes in _MAKERS.items() for suffix in suffixes}
+
+
+def foreign_sentences(paths: Sequence[Path], root: Path) -> list[str]:
+    """A sentence for each maker whose thermal files lie in a folder and cannot be read.
+
+    Args:
+        root: The folder that names in the sentences are relative to.
+    """
+    found: dict[str, list[Path]] = {}
+    for path in sorted(paths):
+        if (maker := _OF_SUFFIX.get(path.suffix.lower())) is not None:
+            found.setdefault(maker, []).append(path)
+    return [
+        f"{counted(len(mine), 'thermal file')} {agreeing(len(mine), 'was', 'were')} not read (first: "
+        f"{mine[0].relative_to(root).as_posix()}). This format is {maker} as radiometric JPEGs or 16-bit TIFFs."
+        for maker, mine in found.items()
+    ]

@@ -99,8 +99,6 @@ def import_thermal(
     Args:
         files: The files, all of one kind; radiometric, or pictures.
         names: Their names in the capture, without endings.
-        capture: The capture.
-        options: What the user says.
         skip_unreadable: Leave out radiometric files of which no temperatures can be had.
 
     Returns:
@@ -212,8 +210,10 @@ def _import_pictures(
 def _levels(image: NDArray[Any], palette: Palette, span: tuple[float, float] | None) -> NDArray[np.uint16]:
     if image.ndim == 2:
         intensity = np.asarray(image / np.float32(np.iinfo(image.dtype).max), np.float32)
+    elif _is_grey(image, palette):
+        intensity = np.asarray(image[..., 1] / np.float32(255), np.float32)
     else:
-        intensity = _levels_of_grey(image) if _is_grey(image, palette) else palette.to_intensity(image)
+        intensity = palette.to_intensity(image)
     if span is None:
         return np.rint(intensity * np.float32(65535)).astype(np.uint16)
     celsius = span[0] + intensity.astype(np.float64) * (span[1] - span[0])
@@ -226,10 +226,6 @@ def _is_grey(image: NDArray[Any], palette: Palette) -> bool:
         return True
     colors = image[::4, ::4] / np.float32(255)
     return GREY.residual(colors) <= min(_GREY_LIMIT, palette.residual(colors))
-
-
-def _levels_of_grey(image: NDArray[Any]) -> NDArray[np.float32]:
-    return np.asarray(image[..., 1] / np.float32(255), np.float32)
 
 
 def _picture_sentences(

@@ -52,7 +52,6 @@ def reader_for(files: Sequence[SourceFile], wanted: Sequence[SourceFile], meanin
     """The reader of a capture's thermal files.
 
     Args:
-        files: All of them, of one kind.
         wanted: Those of which temperatures will be asked.
         meaning: What values mean in files that do not say it.
 
@@ -144,7 +143,6 @@ class DjiReader:
     """DJI's radiometric JPEGs.
 
     Args:
-        models: The cameras' names.
         conversion: What programs made of all files; None if the files hold temperatures.
     """
 

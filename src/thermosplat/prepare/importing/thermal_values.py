@@ -65,7 +65,6 @@ def choose_meaning(files: Sequence[SourceFile], unit: str | None, scale: float |
     """What the values of a capture's thermal files mean.
 
     Args:
-        files: The files, all of one kind.
         unit: The user's word on the unit after scale and offset, or None.
         scale: The user's word, or None for 1.
         offset: The user's word, or None for 0.
@@ -106,9 +105,7 @@ def levels_of(path: Path, celsius: NDArray[Any], unit: StoredUnit) -> tuple[NDAr
     """Temperatures as they are stored in a capture.
 
     Args:
-        path: The file that they come from, for messages.
         celsius: [H, W] [°C]; NaN, or absolute zero and below, where there is none.
-        unit: The unit to store.
 
     Returns:
         uint16 [H, W], and how many pixels had no value and got that of their neighbours.

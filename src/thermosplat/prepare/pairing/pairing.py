@@ -34,7 +34,6 @@ def pair_frames(capture: CaptureFolder, rule: Rule = "auto") -> StepReport:
     """Find the pairs and write ``pairs.csv``.
 
     Args:
-        capture: An imported capture.
         rule: How images are paired; "auto" takes the first rule that pairs nearly all, "none" pairs none.
 
     Returns:

@@ -62,7 +62,6 @@ class Alignment:
     """A camera that was aligned.
 
     Args:
-        camera: The camera.
         deviations: [11] standard deviations of ``rig_camera.UNKNOWNS`` from the residuals' scatter.
         frames: How edges meet in each frame that has edge points inside; none where too few are found to align by.
     """
@@ -94,7 +93,6 @@ def align(
 
     Args:
         camera: Where to start: edges have to be within the first window.
-        edges: Edges of the photographs.
         slopes: Slopes [H, W, 2] of each frame's thermal image.
         stages: Which of ``rig_camera.UNKNOWNS`` change, with search range and robust scale of each step [px].
     """

@@ -51,7 +51,6 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
     """The best agreement without and with mirrored thermal images, best first.
 
     Args:
-        edges: Edges of the photographs.
         slopes: Slopes [H, W, 2] of each frame's thermal image.
     """
     frames = _spread(np.unique(edges.frame), _COARSE_FRAMES)

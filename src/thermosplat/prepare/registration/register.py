@@ -62,9 +62,6 @@ _TRANSLATION = (("tx", "ty", "tz"), ((12, 5.0),) * 6 + ((6, 2.0),) * 4 + ((3, 0.
 def register(capture: CaptureFolder) -> StepReport:
     """Find the thermal camera and write it into ``sparse/0`` as the second camera of the rig.
 
-    Args:
-        capture: The capture; its photographs have poses.
-
     Raises:
         UserError: There are too few pairs, sizes differ, images are mirrored, or the edges do not meet.
     """

@@ -20,7 +20,6 @@ def with_thermal(
 
     Args:
         model: Model whose rigs have a camera of the photographs each. Thermal images that it has already are left out.
-        camera: The thermal camera beside the photographs'.
         pairs: The thermal image of each photograph, both below their folders; without any there is no such camera.
 
     Returns:

@@ -32,8 +32,6 @@ def edges_deviation(found: Alignment, edges: EdgePoints, slopes: Sequence[NDArra
     """Standard deviation of the logarithm of the thermal focal length, the photographs' being exact.
 
     Args:
-        found: The camera that was aligned.
-        edges: Edges of the photographs.
         slopes: Slopes [H, W, 2] of each frame's thermal image.
     """
     information = edge_information(found.camera, edges, slopes) / max(len(np.unique(edges.frame)), 1)

@@ -56,11 +56,7 @@ def photograph_edges(
     """Edges of photographs in space.
 
     Args:
-        model: COLMAP model with points.
-        images: Photographs of the model.
-        folder: Folder that their names are relative to.
         width: The photographs are used at about this width [px].
-        most: Points per photograph.
 
     Returns:
         The points. Photographs without a neighbour have none.

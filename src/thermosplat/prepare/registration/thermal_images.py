@@ -18,11 +18,6 @@ def thermal_images(
 ) -> list[NDArray[np.generic]]:
     """Read thermal images.
 
-    Args:
-        capture: The capture.
-        names: Their files.
-        listed_in: The capture's table that names them.
-
     Raises:
         UserError: One cannot be read, or they have several sizes.
     """

@@ -24,9 +24,7 @@ def remarks(photographs: Sequence[FrameRow], positions: Positions, registered: C
     """Sentences on a flight; none of pictures without positions and times.
 
     Args:
-        photographs: The photographs.
         positions: Their positions, in the same order.
-        registered: Names in the model of those with a pose.
     """
     said = []
     without = [row.file for row, known in zip(photographs, positions.known) if not known]

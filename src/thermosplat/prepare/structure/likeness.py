@@ -18,12 +18,7 @@ _SAMPLE = 20_000
 
 
 def likeness(database: pycolmap.Database, image_ids: Sequence[int]) -> NDArray[np.float32]:
-    """Cosines between the photographs' vectors, [N, N].
-
-    Args:
-        database: An open database with features.
-        image_ids: The photographs.
-    """
+    """Cosines between the photographs' vectors, [N, N]."""
     drawn = np.random.default_rng(0)
     each = -(-_SAMPLE // len(image_ids))
     sample = []

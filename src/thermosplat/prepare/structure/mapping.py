@@ -45,8 +45,6 @@ def map_photographs(
 
     Args:
         database: Database with verified matches; its guesses of cameras may change.
-        images: Folder that the photographs' names are relative to.
-        output: Folder for what COLMAP writes on its way.
         mapper: COLMAP's "incremental" or "global" mapping, or "auto".
         fixed_cameras: Ids of cameras whose lens is known from a board.
     """
@@ -117,7 +115,6 @@ def adjusted(
     runs away.
 
     Args:
-        model: The model.
         fixed_cameras: Ids of cameras whose lens is known.
         priors: Positions of photographs in the model's world, which keep a long flight from bending.
     """

@@ -54,7 +54,6 @@ def enter_photographs(database: Path, cameras: Sequence[tuple[pycolmap.Camera, l
 
     Args:
         database: File of the database; made where it is not there.
-        cameras: Cameras with their photographs.
     """
     with opened(database) as connection, pycolmap.DatabaseTransaction(connection):
         image_id = 0
@@ -79,12 +78,7 @@ def enter_photographs(database: Path, cameras: Sequence[tuple[pycolmap.Camera, l
 
 
 def extract(database: Path, images: Path) -> None:
-    """Find features in all photographs that have none yet.
-
-    Args:
-        database: The database with the photographs.
-        images: Folder that their names are relative to.
-    """
+    """Find features in all photographs that have none yet."""
     with opened(database) as connection:
         every = connection.read_all_images()
         names = [image.name for image in every if not connection.exists_keypoints(image.image_id)]
@@ -102,7 +96,6 @@ def match(database: Path, places: Mapping[str, NDArray[np.float64]]) -> None:
     """Match the photographs and verify the matches, where that has not been done yet.
 
     Args:
-        database: The database with features.
         places: East, north, up [m] of photographs whose position is known, by file, [3] each.
     """
     with opened(database) as connection:

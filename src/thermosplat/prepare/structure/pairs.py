@@ -48,11 +48,7 @@ def chosen_pairs(positions: NDArray[np.float64], likeness: Likeness) -> list[tup
     alike = likeness()
     pairs |= _most_alike(alike, known, ALIKE_BESIDE_POSITIONS) | _most_alike(alike, unknown, ALIKE)
     pairs |= {(i, j) for i in unknown.tolist() for j in range(i - NEXT_BY_NAME, i + NEXT_BY_NAME + 1)}
-    return sorted({(min(pair), max(pair)) for pair in pairs if min(pair) >= 0 and max(pair) < count} - _same(count))
-
-
-def _same(count: int) -> Pairs:
-    return {(i, i) for i in range(count)}
+    return sorted({(min(i, j), max(i, j)) for i, j in pairs if i != j and min(i, j) >= 0 and max(i, j) < count})
 
 
 def _near(positions: NDArray[np.float64]) -> Pairs:

@@ -26,7 +26,6 @@ def cameras_of(
     """The cameras, each with its photographs.
 
     Args:
-        photographs: The photographs.
         calibrated: Lens that a board showed; it holds for all photographs of its size.
 
     Returns:

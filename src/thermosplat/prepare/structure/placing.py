@@ -50,7 +50,6 @@ class Placed:
     Args:
         model: The model; in its own units where ``geo`` is None.
         geo: Where it lies; None where GPS does not say.
-        sentences: For people.
         priors: The positions that were not left out, for the model's last adjustment.
     """
 
@@ -64,8 +63,6 @@ def placed(model: pycolmap.Reconstruction, photographs: list[FrameRow], position
     """The model where GPS has its cameras.
 
     Args:
-        model: Model of the photographs.
-        photographs: The photographs.
         positions: Their positions, in the same order.
     """
     known = {f"{LEADING}/{row.file}": number for number, row in enumerate(photographs) if positions.known[number]}

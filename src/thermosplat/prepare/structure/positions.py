@@ -61,7 +61,6 @@ def positions_of(photographs: Sequence[FrameRow], thermal: Mapping[str, FrameRow
     """The positions of photographs.
 
     Args:
-        photographs: The photographs.
         thermal: The thermal image of each paired one, by the photograph's file.
     """
     sources: list[Exif | None] = []

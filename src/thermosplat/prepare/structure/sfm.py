@@ -35,7 +35,6 @@ def run_sfm(capture: CaptureFolder, *, mapper: Mapper = "auto") -> StepReport:
     """Find the poses of the photographs and write ``sparse/0``.
 
     Args:
-        capture: The capture; its photographs are imported.
         mapper: COLMAP's "incremental" or "global" mapping, or "auto": global where incremental leaves many out.
 
     Raises:

@@ -17,7 +17,6 @@ def reasons(database: Path, models: Sequence[pycolmap.Reconstruction]) -> dict[s
     """Photographs without a pose in the first model, by the reason.
 
     Args:
-        database: The database with features and matches.
         models: All models; the first one is kept.
 
     Returns:

@@ -38,11 +38,6 @@ class Call(NamedTuple):
 def call_of(arguments: Sequence[Any], options: Mapping[str, Any], place: Place) -> Call | None:
     """The signature of a call.
 
-    Args:
-        arguments: By position.
-        options: By keyword.
-        place: Of the first tensor.
-
     Returns:
         None where something of another kind was given, or the place says so.
     """
@@ -105,12 +100,7 @@ def with_tensors(
     """A call with something in the place of each tensor.
 
     Args:
-        arguments: Of the call.
-        options: Of the call.
         tensors: What takes the tensors' places, in their order.
-
-    Returns:
-        Arguments and options.
     """
     left = iter(tensors)
 
@@ -127,8 +117,6 @@ def names_of_tensors(parameters: Sequence[str], arguments: Sequence[Any], option
 
     Args:
         parameters: Of the function, in order.
-        arguments: By position.
-        options: By keyword.
 
     Returns:
         As many names as there are tensors, in their order.
@@ -147,8 +135,6 @@ def is_never_replayed(parameters: Sequence[str], arguments: Sequence[Any], optio
 
     Args:
         parameters: Of the function, in order.
-        arguments: By position.
-        options: By keyword.
     """
     given = dict(zip(parameters, arguments)) | dict(options)
     return any(given.get(name) is not None and given[name] is not False for name in NEVER)

@@ -37,7 +37,6 @@ class CapturedCall:
         bound: Which of them are read where they lie.
         most: Pairs, and Gaussians with pairs, that were seen at most.
         spare: Room over them, as a factor.
-        recorder: Records.
 
     Attributes:
         turns: Held by whoever uses the memory of gradients.
@@ -82,11 +81,7 @@ class CapturedCall:
             self._not_drawn = [k for k in range(owned) if k not in drawn]
 
     def is_at(self, tensors: Sequence[Tensor]) -> bool:
-        """Whether what is read where it lies lies there.
-
-        Args:
-            tensors: Of a call.
-        """
+        """Whether what is read where it lies lies there."""
         return all(tensors[i].data_ptr() == place and tensors[i].is_contiguous() for i, place in self._bound)
 
     def info_is_held(self) -> bool:
@@ -149,7 +144,6 @@ class CapturedCall:
         """Gradients to ``means2d`` if it moves, to the edges and to the backgrounds; and sums of absolute ones.
 
         Args:
-            gradients: To all images.
             lends: Of the gradients to ``means2d`` and to the edges, whether the fixed memory itself may be returned:
                 nobody but ``project_backward`` reads it, before it is written anew.
 
@@ -177,9 +171,6 @@ class CapturedCall:
 
         Args:
             gradients: To ``means2d`` if it moves, and to the edges; those that were lent are in their place.
-
-        Returns:
-            In memory of their own.
         """
         _put(self._to_mids, gradients)
         self._project()

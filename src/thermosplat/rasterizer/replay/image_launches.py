@@ -44,7 +44,6 @@ class LaunchedByReplays(LaunchedNow):
 
     Args:
         leave_out: Keeps what each replay has to do there.
-        places: Of the images.
     """
 
     def __init__(self, device: torch.device, leave_out: Callable[[Callable[[], None]], None], places: Places) -> None:

@@ -98,9 +98,6 @@ class RecordedCall:
     """The passes of a call, each to be run once while it is recorded.
 
     Args:
-        subject: The call.
-        fixed: Its tensors in fixed memory.
-        room: For its pairs.
         memory: For gradients; filled by the first run.
         launcher: Makes the launches on images, or leaves them to the replays.
     """
@@ -301,7 +298,6 @@ def images_of(views: Sequence[ImageView], bases: Sequence[Tensor]) -> list[Tenso
     """The images in copies of the tensors that hold them.
 
     Args:
-        views: Of a recorded call.
         bases: Copies, in their order.
     """
     return [bases[of] if strided is None else bases[of].as_strided(*strided) for of, strided in views]

@@ -74,7 +74,6 @@ class ReplayedCalls:
 
     Args:
         function: ``rasterization`` or ``rasterization_rgbt``.
-        machine: What it runs on.
 
     Attributes:
         signatures: What is known of calls, by their signature.

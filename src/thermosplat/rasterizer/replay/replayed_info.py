@@ -101,10 +101,8 @@ class ReplayedEntries:
 
     Args:
         layout: Of the captured call.
-        written: By the replay.
         means2d: [..., C, N, 2], of a call that is differentiated; else it is among what was written.
         plain: The call without graphs.
-        tensors: Of the call.
         show: Called when means2d is read.
     """
 

@@ -22,19 +22,12 @@ def make_decoder(config: DecoderConfig, feature_dim: int, spectra: Sequence[Spec
     """The decoder that a configuration asks for.
 
     Args:
-        config: Its structure and widths.
         feature_dim: Channels d of the rendered features.
-        spectra: What is decoded, in order.
     """
     inputs = num_inputs(feature_dim, config.fourier_frequency) + (3 if config.view_direction else 0)
     return DECODERS[config.branches](config, inputs, spectra)
 
 
 def kind_of(spectrum: Spectrum, model: ModelConfig) -> type[Formation]:
-    """The kind of a spectrum's formation.
-
-    Args:
-        spectrum: The spectrum, with its settings.
-        model: What Gaussians hold.
-    """
+    """The kind of a spectrum's formation."""
     return next(kind for kind in FORMATIONS if kind.is_for(spectrum, model))

@@ -20,13 +20,7 @@ _WIDTHS = "point_spreads.log_widths."
 def restored_formations(
     saved: Saved, model: ModelConfig, decoding: DecoderConfig, spectra: Sequence[Spectrum]
 ) -> Formations:
-    """The formations of a scene as a checkpoint has them.
-
-    Args:
-        saved: What it has.
-        model: As of ``Formations``.
-        decoding: As of ``Formations``.
-        spectra: As of ``Formations``.
+    """The formations of a scene as a checkpoint has them. The arguments are those of ``Formations``.
 
     Raises:
         ValueError: A parameter is missing, or of another shape; said before memory is taken for what is asked for.
@@ -45,12 +39,7 @@ def restored_formations(
 
 
 def as_trained(spectra: Mapping[str, SpectrumConfig], saved: Saved) -> dict[str, SpectrumConfig]:
-    """The spectra by name with the blur that a saved scene has, or has not: noise decides no more.
-
-    Args:
-        spectra: As they were asked for.
-        saved: Of its formations.
-    """
+    """The spectra by name with the blur that a saved scene has, or has not: noise decides no more."""
     found, trained = _by_todays_names(saved), dict(spectra)
     for name, one in spectra.items():
         if one.by_noise:

@@ -23,8 +23,6 @@ class Formations(nn.Module):
         decode: How features are decoded now: ``decoder.decode``, or what ``decoding_by`` has put in its place.
 
     Args:
-        model: What Gaussians hold.
-        decoding: How features become images.
         spectra: What is rendered, in order.
     """
 

@@ -146,10 +146,7 @@ def squared_errors(image: Tensor, target: Tensor) -> Tensor:
 
 def cosines(image: Tensor, target: Tensor) -> Tensor:
     """Cosine of each pixel's features and the true ones, over all channels, [H, W].
-
-    Args:
-        image: As of ``squared_errors``.
-        target: As of ``squared_errors``.
+    The arguments are those of ``squared_errors``.
     """
     found, true = 2 * image[..., :-1] - 1, 2 * target[..., :-1] - 1
     lengths = found.square().sum(dim=-1) * (true.square().sum(dim=-1) + target[..., -1].square())

@@ -61,7 +61,6 @@ def clone(gaussians: nn.Module, optimizers: Optimizers, selected: Tensor) -> Non
     """Append a copy of each selected Gaussian.
 
     Args:
-        gaussians: The Gaussians, N of them.
         selected: Boolean, shape [N].
     """
     append_copies(gaussians, optimizers, torch.where(selected)[0])
@@ -72,7 +71,6 @@ def append_copies(gaussians: nn.Module, optimizers: Optimizers, indices: Tensor)
     """Append a copy of each named Gaussian, of a repeated one several.
 
     Args:
-        gaussians: The Gaussians, N of them.
         indices: int64, shape [n].
     """
     number = len(next(gaussians.parameters()))
@@ -145,7 +143,6 @@ def prune(gaussians: nn.Module, optimizers: Optimizers, removed: Tensor) -> None
     """Remove Gaussians.
 
     Args:
-        gaussians: The Gaussians, N of them.
         removed: Boolean, shape [N].
     """
     kept = torch.where(~removed)[0]
@@ -157,7 +154,6 @@ def become_copy(gaussians: nn.Module, optimizers: Optimizers, source: nn.Module)
     """Replace all Gaussians by copies of another set's; their moments start from zero.
 
     Args:
-        gaussians: The Gaussians to replace.
         source: Gaussians with parameters of the same names.
     """
     copied = dict(source.named_parameters())

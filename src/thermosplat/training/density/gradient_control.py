@@ -35,9 +35,7 @@ class DefaultStrategy:
     """3DGS's density control of one set of Gaussians; the interface is ``Strategy``'s.
 
     Args:
-        config: Schedule and thresholds.
         scene_extent: Radius of the cameras [world units]; what "large" is measured against.
-        num_gaussians: Gaussians in the set.
         span: The steps that train the set; the schedule counts from its start. None: all steps.
         spectra: The spectra that the set renders, in order.
     """

@@ -58,7 +58,6 @@ def split(gaussians: Gaussians, optimizers: Optimizers, sources: Tensor, apart: 
     Args:
         sources: Indices of those that are split, all different, shape [n].
         apart: d of the halves' distance, in (0, ``SPLIT_APART_MOST``].
-        least: Opacity below which none is lowered.
     """
     shift = _halve(gaussians, sources, apart, least)
     clear_moments(gaussians, optimizers, sources)

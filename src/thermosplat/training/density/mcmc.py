@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from thermosplat.errors import UserError
-from thermosplat.fused.position_noise import StoredGaussians, add_noise_to_means
+from thermosplat.fused.position_noise import add_noise_to_means
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gaussian_ops import Optimizers
 from thermosplat.training.density.gradient_control import DefaultStrategy
@@ -111,9 +111,16 @@ class McmcStrategy(DefaultStrategy):
         normals = normals[first : first + len(means)]
         strength = self.config.position_noise / self.scene_extent**2
         rate = torch.as_tensor(rate, dtype=torch.float32, device=means.device)
-        second = gaussians.stored_second_opacity
-        stored = StoredGaussians(means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, *second)
-        add_noise_to_means(stored, normals, strength, rate, (NOISE_STEEPNESS, NOISE_OPACITY), blocked)
+        stored = means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities
+        add_noise_to_means(
+            *stored,
+            *gaussians.stored_second_opacity,
+            normals=normals,
+            strength=strength,
+            rate=rate,
+            gate=(NOISE_STEEPNESS, NOISE_OPACITY),
+            blocked=blocked,
+        )
 
     def _drawn(self, gaussians: Gaussians, count: int, generator: torch.Generator) -> Tensor:
         """Indices of those that are doubled, at most ``count``: one that is drawn twice splits once at a time."""

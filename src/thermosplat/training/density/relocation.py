@@ -24,7 +24,6 @@ def relocate(gaussians: Gaussians, optimizers: Optimizers, moved: Tensor, source
     Args:
         moved: Indices of those that move, shape [n].
         sources: Indices of those they move to, none of them moved itself; repeated ones share with several. [n].
-        least: Opacity below which none is lowered.
     """
     _share(gaussians, sources, least)
     copy_onto(gaussians, optimizers, moved, sources)

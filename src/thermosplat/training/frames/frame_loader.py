@@ -58,7 +58,6 @@ def num_processes(frames: Sequence[Stored], memory: float) -> int:
     """How many processes may read frames ahead.
 
     Args:
-        frames: Where the pixels of each frame are.
         memory: What images may take [bytes].
 
     Raises:
@@ -166,10 +165,7 @@ class FrameLoader:
 
     def is_ready(self, place: int, order: Callable[[int], int]) -> bool:
         """Whether ``at`` would return the frame at once; of a lost one it tells when its step comes.
-
-        Args:
-            place: As of ``at``.
-            order: As of ``at``.
+        The arguments are those of ``at``.
         """
         if self.reading is None:
             return False

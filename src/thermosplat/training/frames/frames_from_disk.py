@@ -147,12 +147,7 @@ class FrameCopies:
         self._under_way: deque[tuple[torch.cuda.Event, ReadFrame]] = deque()
 
     def at(self, place: int, order: Callable[[int], int], end: int) -> _Copy:
-        """The frame at a place of an order, for work on the current stream.
-
-        Args:
-            order: Index of the frame at each place.
-            end: One beyond the last place.
-        """
+        """The frame at a place of an order, for work on the current stream."""
         self._release()
         if not self._copies or (self._copies[0].place, self._copies[0].index) != (place, order(place)):
             self._copies.clear()
@@ -166,13 +161,7 @@ class FrameCopies:
         self._used[copy.number] = torch.cuda.current_stream(self._device).record_event()
 
     def go_on(self, place: int, order: Callable[[int], int], end: int) -> None:
-        """Copy the frames that were read, from a place on.
-
-        Args:
-            place: As of ``at``.
-            order: As of ``at``.
-            end: As of ``at``.
-        """
+        """Copy the frames that were read, from a place on. The arguments are those of ``at``."""
         for later in range(place + len(self._copies), min(place + COPIED_AHEAD, end)):
             self._release()
             if not self._loader.is_ready(later, order):

@@ -23,14 +23,7 @@ def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
 
 def start_stream(generator: torch.Generator, seed: int, purpose: str, index: int = 0) -> torch.Generator:
     """Let a generator, on any device, start the stream that ``random_stream`` names; each device draws its own numbers.
-
-    Args:
-        seed: As of ``random_stream``.
-        purpose: As of ``random_stream``.
-        index: As of ``random_stream``.
-
-    Returns:
-        The same generator.
+    The other arguments are those of ``random_stream``.
     """
     entropy = np.random.SeedSequence([seed, _PURPOSES.index(purpose), index])
     return generator.manual_seed(int(entropy.generate_state(1, np.uint64)[0] >> np.uint64(1)))

@@ -37,12 +37,11 @@ class ShrunkFrames:
         """Tensors of the frame at a place of an order, as ``TrainFrames.at``.
 
         Args:
-            order: Index of the frame at each place.
-            end: One beyond the last place.
             factor: What the sides of images are divided by. What was kept of another factor goes.
         """
         if factor != self.factor:
-            self._forget()
+            self._frames.reserve(-sum(frame.num_bytes for frame in self._kept.values()))
+            self._kept.clear()
             self.factor = factor
         if factor == 1.0:
             return self._frames.at(place, order, end)
@@ -55,16 +54,11 @@ class ShrunkFrames:
             self._kept[index] = frame
         return frame
 
-    def _forget(self) -> None:
-        self._frames.reserve(-sum(frame.num_bytes for frame in self._kept.values()))
-        self._kept.clear()
-
 
 def shrunk_frame(frame: FrameTensors, taken: Mapping[str, View], factor: float) -> FrameTensors:
     """A frame whose images have sides divided by a factor, packed, without measured values.
 
     Args:
-        frame: The frame at full size.
         taken: Its views as the capture has them, by spectrum.
         factor: At least 1.
     """
@@ -76,8 +70,6 @@ def shrunk_view(view: ViewTensors, taken: View, factor: float) -> ViewTensors:
     """A view whose image has sides divided by a factor; no side is made shorter than ``SHORTEST_SIDE``.
 
     Args:
-        view: The view at full size.
-        taken: The same view as the capture has it.
         factor: At least 1.
     """
     longest = min(view.width, view.height) / SHORTEST_SIDE

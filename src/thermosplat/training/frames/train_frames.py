@@ -162,9 +162,7 @@ class Span(NamedTuple):
     """The steps in which something is trained."""
 
     start: int
-    """Steps before it."""
     end: int
-    """Its last step."""
 
     def __contains__(self, step: object) -> bool:
         return isinstance(step, int) and self.start < step <= self.end
@@ -197,7 +195,6 @@ class FrameOrder:
 
     Args:
         num_frames: Training frames, at least 1.
-        seed: The run's seed.
     """
 
     def __init__(self, num_frames: int, seed: int) -> None:

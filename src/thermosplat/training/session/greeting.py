@@ -9,14 +9,7 @@ from thermosplat.training.session.training_parts import Training
 
 
 def greeting(training: Training, notes: Sequence[str]) -> list[str]:
-    """On what is trained, how much of it there is, and where the results go.
-
-    Args:
-        notes: What is to be said before that.
-
-    Returns:
-        Lines.
-    """
+    """On what is trained, how much of it there is, and where the results go."""
     config, capture, state, team = training.config, training.capture, training.state, training.team
     lines = list(notes)
     if not team.is_alone:

@@ -13,7 +13,6 @@ class TrainingInterrupted(Exception):
     """The training was stopped from outside; everything up to then is in a checkpoint.
 
     Args:
-        resume_command: The command line that goes on from it.
         number: The signal that stopped it.
     """
 

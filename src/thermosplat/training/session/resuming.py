@@ -50,8 +50,6 @@ def share_to_go_on_from(config: TrainConfig, capture: Capture, run: RunDirectory
     """This rank's share of a run's newest checkpoint, which may be of another number of ranks; rank 0 reads it.
 
     Args:
-        config: What the command asks for.
-        capture: What it would be trained on.
         team: The ranks; one alone has all.
 
     Raises:
@@ -118,11 +116,6 @@ def placed_as_trained(capture: Capture, checkpoint: Checkpoint) -> Capture:
 
 def check_steps_left(checkpoint: Checkpoint, config: TrainConfig, run: RunDirectory) -> None:
     """Refuse to go on to fewer steps than are done.
-
-    Args:
-        checkpoint: The state.
-        config: What the run does on its capture.
-        run: The run, for the message.
 
     Raises:
         UserError: Has both numbers.

@@ -49,7 +49,6 @@ class StepRecord:
     squared_errors: dict[str, Tensor]
     """Mean squared error of the step's own images by spectrum, scalars on the device."""
     num_gaussians: int
-    """Gaussians in all sets."""
     sh_degree: int
     """Degree of the spherical harmonics in use."""
     train_seconds: float
@@ -106,8 +105,6 @@ class RunLogger:
         """The logger of a training.
 
         Args:
-            run: Where the files go.
-            config: What is done.
             speaks: Whether this is the rank that tells the user; others are silent, and write nothing.
         """
         if speaks:
@@ -198,7 +195,6 @@ class RunLogger:
         """Record an evaluation on the held-out views.
 
         Args:
-            step: Steps done.
             metrics: What ``held_out.evaluate`` returned.
         """
         self._report_late()

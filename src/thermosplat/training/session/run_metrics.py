@@ -20,9 +20,6 @@ def run_metrics(
 
     Args:
         evaluated: What ``held_out.evaluate`` returned.
-        state: The state at the end of the run.
-        device: What it ran on.
-        lpips: What measured LPIPS, if anything did.
     """
     seconds, model = state.seconds, state.model
     beside: dict[str, Any] = {name: evaluated[name] for name in ("training_views", "remarks") if name in evaluated}

@@ -35,7 +35,6 @@ class RunResults:
     Args:
         training: Whatever its model is at the time of a call is evaluated.
         keeping: Gathers the whole model.
-        meetings: Of the ranks.
     """
 
     def __init__(self, training: Training, keeping: Safekeeping, meetings: Meetings) -> None:

@@ -24,7 +24,6 @@ from thermosplat.training.session.checkpoint_writer import (
     going_on_without,
     naming_the_newest_checkpoint,
 )
-from thermosplat.training.session.fatal_errors import image_lost_error, not_finite_error
 from thermosplat.training.session.interruption import TrainingInterrupted
 from thermosplat.training.session.training_parts import Training
 from thermosplat.training.sharing.shares import whole_checkpoint
@@ -193,3 +192,28 @@ def given(checkpoint: Checkpoint | None) -> Checkpoint:
     if checkpoint is None:
         raise RuntimeError("Only rank 0 has the whole checkpoint.")
     return checkpoint
+
+
+def not_finite_error(step: int, term: str, where: str, suspects: str, saved: object, resume_command: str) -> UserError:
+    """The error of a loss or gradient that is NaN or infinite.
+
+    Args:
+        step: The step that failed; its update was not made.
+        term: The loss, or the tensor whose gradient it is.
+        suspects: What to look at, after "Check the images and".
+    """
+    return UserError(
+        f"The loss became NaN or infinite at step {step:,} (term: {term}; {where}). "
+        f"Last finite state saved to {saved}.",
+        f"Check the images and {suspects}, then go on with: {resume_command} "
+        "Or start again with smaller learning rates (--optimizer.means-lr and the others).",
+    )
+
+
+def image_lost_error(lost: ImageLostError, saved: str, resume_command: str) -> UserError:
+    """The error of an image that cannot be read any more.
+
+    Args:
+        lost: Which image, and what is to be done about it.
+    """
+    return UserError(f"{lost.message} {saved}", f"{lost.hint} Then go on with: {resume_command}".lstrip())

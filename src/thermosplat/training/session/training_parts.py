@@ -31,23 +31,15 @@ class Training:
     """The parts of a training, as one of the ranks of a team has them."""
 
     team: Team
-    """The ranks."""
     run: RunDirectory
     """Where everything goes; rank 0 writes there."""
     capture: Capture
-    """What is trained on."""
     frames: TrainFrames
-    """Its training frames."""
     recipe: Recipe
-    """What is done."""
     logger: RunLogger
-    """What tells the user."""
     schedule: SpectrumSchedule
-    """Which of the frames the steps take."""
     scenes: NewScenes
-    """What makes scenes."""
     state: TrainingState
-    """This rank's."""
     steps: Steps
     """What runs the steps; recordings are forgotten before their tensors change."""
 

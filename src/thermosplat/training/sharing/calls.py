@@ -32,9 +32,7 @@ class Calls(NamedTuple):
     of_ranks: list[set[Group]]
     """The groups of each rank's frame; none of a rank without a frame."""
     rank: int
-    """This one."""
     like: Tensor
-    """Any float tensor on the ranks' device."""
 
 
 def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Calls:
@@ -42,7 +40,6 @@ def calls_of(frames: Sequence[Sequence[Group]], team: Team, like: Tensor) -> Cal
 
     Args:
         frames: The groups of the frames of the first ranks; the others have none.
-        like: Any float tensor on the device.
     """
     groups = dict.fromkeys(group for frame in frames for group in frame)
     of_ranks = [set(frame) for frame in frames] + [set() for _ in range(team.size - len(frames))]
@@ -57,7 +54,6 @@ def render_with_others(
     Args:
         render: ``SceneModel.render`` with its options.
         views: The frame's; none where the rank has no frame.
-        calls: What all ranks render.
 
     Returns:
         The frame. ``infos`` holds every call by set, in the order of ``calls.groups``; under "group" the group.
@@ -94,10 +90,8 @@ def infos_of_frame(
     """What density control looks at of one frame, by set.
 
     Args:
-        infos: Of the calls, by set.
         camera: Which camera of each call is the frame's.
         groups: The frame's groups; None: all calls are its own.
-        frames: Frames of the step.
     """
     found: dict[str, list[Any]] = {}
     for name, calls in infos.items():
@@ -138,7 +132,6 @@ class TakingPart(torch.autograd.Function):
         """Zero, a scalar.
 
         Args:
-            ctx: What the backward pass reads.
             *images: Of all renderings that other ranks take part in.
         """
         return images[0].new_zeros(())

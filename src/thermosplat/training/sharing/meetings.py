@@ -53,7 +53,6 @@ class Meetings:
         """Let rank 0 do something while the others wait; what it gives, None on the others.
 
         Args:
-            work: What to do.
             to_its_end: A signal waits until it is done, rather than end it.
         """
         if self.team.is_alone:

@@ -33,9 +33,6 @@ def refine(
     """Add and remove Gaussians of a set that may be divided, or reset opacities, as ``Strategy.refine``.
 
     Args:
-        state: This rank's.
-        name: The set.
-        config: The strategy's.
         generator: Draws what is random, on the CPU.
 
     Raises:
@@ -84,12 +81,7 @@ def _as_kept(value: Tensor) -> Tensor:
 
 
 class _StandIn:
-    """On rank 0 all Gaussians of a set, large parameters and moments as numbers of rows; and what became of them.
-
-    Args:
-        gaussians: This rank's.
-        counts: Gaussians of each rank.
-    """
+    """On rank 0 all Gaussians of a set, large parameters and moments as numbers of rows; and what became of them."""
 
     def __init__(self, team: Team, gaussians: Gaussians, optimizers: Optimizers, counts: list[int]) -> None:
         self.team, self.counts = team, counts

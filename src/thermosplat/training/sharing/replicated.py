@@ -27,7 +27,6 @@ def tell_errors(team: Team, state: TrainingState, own: Sequence[Tensor]) -> None
     """Let all ranks know the errors of the frames that this one trained on.
 
     Args:
-        state: This one's.
         own: Indices of its frames, int64 scalars on the device.
     """
     watch = state.noise_watch

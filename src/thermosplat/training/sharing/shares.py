@@ -30,11 +30,7 @@ _NO_TEACHERS: dict[str, Any] = {"teachers": {}, "best_teachers": {}}
 
 
 def keep_share(model: SceneModel, team: Team) -> None:
-    """Leave a whole model this rank's share of the Gaussians.
-
-    Args:
-        model: A model that no optimizer knows yet.
-    """
+    """Leave a whole model this rank's share of the Gaussians."""
     for name in model.gaussian_sets if team.size > 1 else ():
         gaussians = model.gaussians(name)
         block = team.block_of(len(gaussians))
@@ -48,7 +44,6 @@ def count_anew(team: Team, state: TrainingState) -> None:
 
     Args:
         team: The ranks; one alone has all.
-        state: This one's.
     """
     if team.is_alone:
         return
@@ -59,12 +54,7 @@ def count_anew(team: Team, state: TrainingState) -> None:
 
 
 def divided_sets(sets: Mapping[str, Gaussians], ranks: int) -> list[dict[str, Gaussians]]:
-    """Each rank's share of the Gaussians of all sets.
-
-    Args:
-        sets: The sets by name, in the host's memory.
-        ranks: How many.
-    """
+    """Each rank's share of the Gaussians of all sets."""
     shares: list[dict[str, Gaussians]] = [{} for _ in range(ranks)]
     for name, gaussians in sets.items():
         parameters, rows = dict(gaussians.named_parameters()), blocks(len(gaussians), ranks)
@@ -135,9 +125,7 @@ def whole_checkpoint(team: Team, state: TrainingState, own: Checkpoint, *, train
     """The checkpoint of all ranks together, in rank 0's host memory; None on the other ranks.
 
     Args:
-        state: This rank's.
         own: This rank's checkpoint (``TrainingState.checkpoint``).
-        training: With Adam's moments, twice the size of the model.
     """
     if team.is_alone:
         return own
@@ -175,12 +163,7 @@ def whole_checkpoint(team: Team, state: TrainingState, own: Checkpoint, *, train
 
 
 def adopt(team: Team, state: TrainingState, checkpoint: Checkpoint) -> None:
-    """Go on from a checkpoint of the same step with other Gaussians, in place.
-
-    Args:
-        state: This rank's state.
-        checkpoint: This rank's share.
-    """
+    """Go on from a checkpoint of the same step with other Gaussians, in place."""
     device = state.step_on_device.device
     model = SceneModel.from_checkpoint(checkpoint, device)
     saved = checkpoint.training.optimizers or {}

@@ -18,14 +18,7 @@ def stages_of(
     beginnings: Beginnings,
     tolerances: Tolerances,
 ) -> tuple[Stage, ...]:
-    """The stages that a training has.
-
-    Args:
-        training: What they work on.
-        keeping: Gathers and saves the training.
-        beginnings: Begins scenes.
-        tolerances: Of a budget.
-    """
+    """The stages that a training has."""
     config, state = training.config, training.state
     teaches = training.scenes.may_teach(state.model)
     stages: list[Stage] = []

@@ -54,12 +54,10 @@ class AutoBudget:
 
     Args:
         state: Model, optimizers and density control.
-        frames: The training frames.
         schedule: Which of them the steps take.
         noisy: Whether images are noisy.
         tolerances: What it may change.
         teaches: Whether spectra may be trained on what the scene showed when they were best.
-        say: Tells the user something.
     """
 
     def __init__(
@@ -102,11 +100,7 @@ class AutoBudget:
         return step in self._prune_steps
 
     def after_step(self, step: int, sh_degree: int) -> None:
-        """Validate, stop growth or prune, where this step is the one to do so.
-
-        Args:
-            step: The step done.
-        """
+        """Validate, stop growth or prune, where this step is the one to do so."""
         if self._validates_at(step):
             self.validate(step, sh_degree)
         is_last = step == self._last_removal

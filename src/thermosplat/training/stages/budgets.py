@@ -23,7 +23,6 @@ class BudgetStage(Stage):
     """A budget. While cameras are found it does nothing.
 
     Args:
-        training: What it works on.
         keeping: Gathers the whole model.
         tolerances: What may change.
         teaches: Whether spectra may be trained on what the scene showed when they were best.

@@ -28,7 +28,6 @@ class CameraStage(Stage):
     the same ones.
 
     Args:
-        training: What it works on.
         start_anew: Forgets the scene, and tells the user why.
     """
 

@@ -11,7 +11,6 @@ class NoiseStage(Stage):
     """The watch over noisy images (budget/noise_watch.py).
 
     Args:
-        training: What it works on.
         teaches: Whether there is room for scenes as they were.
     """
 

@@ -18,7 +18,6 @@ class Beginnings:
     """How scenes of a training begin.
 
     Args:
-        training: What it works on.
         keeping: Saves the first state of each; checkpoints of the scene before go.
 
     Attributes:
@@ -33,7 +32,6 @@ class Beginnings:
         """Forget the scene; begin from the capture's points, with the cameras that were found.
 
         Args:
-            why: What the user is told.
             kept: Scenes that are trained and are to become one with those to come.
         """
         training = self._training
@@ -121,11 +119,7 @@ class SceneStage(Stage):
         return {} if whole is None else whole.model.gaussian_sets
 
     def joined(self, scenes: Sequence[Scene]) -> dict[str, Gaussians]:
-        """This rank's share of the Gaussians of all scenes.
-
-        Args:
-            scenes: Those to be one.
-        """
+        """This rank's share of the Gaussians of all scenes."""
         training, team, shares = self.training, self.training.team, list[dict[str, Gaussians]]()
 
         def join() -> None:

@@ -65,7 +65,6 @@ def _said_by(views: Sequence[SweptView], depths: Tensor, places: Tensor) -> tupl
     """Where views of one size have their surfaces in the direction of places.
 
     Args:
-        views: The views, k of them.
         depths: Their z-depths, [k, H, W]; 0 where unknown.
         places: [h, w, 3] [world units].
 

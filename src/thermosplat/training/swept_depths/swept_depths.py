@@ -38,7 +38,6 @@ class SweptDepths:
     """Depths of the training views, by spectrum.
 
     Args:
-        weights: Weight of each spectrum's loss.
         found: By spectrum and height and width of the images [px], log z of views, [n, H, W], NaN where unknown.
         rows: By the same, the place of each training frame among these views, [F] int64; -1 of others.
     """

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from thermosplat.datasets.stored_pixels import ImageLostError
-from thermosplat.training.session.fatal_errors import image_lost_error, not_finite_error
+from thermosplat.training.session.safekeeping import image_lost_error, not_finite_error
 
 RESUME = "thermosplat-train --resume results/shed"
 

@@ -6,7 +6,7 @@ import pytest
 
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import load_config
-from thermosplat.training.density.gaussian_limit import LEAST, LEAST_OF_NOISY, MOST, with_limit
+from thermosplat.training.recipe import LEAST, LEAST_OF_NOISY, MOST, with_limit
 from toy_scene import toy_capture
 
 
