@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 _ALONE = 0.6
 """Share of the square of its length from which on a region is no part of a pattern: of rafters it is the half."""
+_LONG = 0.5
+"""Share of the gap between parts of a pattern that a part is long at least: a hot cell is no rafter."""
 
 
 def patterns(findings: "list[Finding]", gap: float, apart: float) -> "list[Finding]":
@@ -30,7 +32,9 @@ def patterns(findings: "list[Finding]", gap: float, apart: float) -> "list[Findi
             sizes = (np.array(one.region.size) + other.region.size) / 2
             between = float(np.linalg.norm(np.maximum(places - sizes, 0)))
             alike = abs(one.reference - other.reference) < apart
-            if alike and between <= gap and not (_is_compact(one.region) or _is_compact(other.region)):
+            shorter = min(max(one.region.size), max(other.region.size))
+            compact = _is_compact(one.region) or _is_compact(other.region)
+            if alike and between <= gap and shorter >= _LONG * gap and not compact:
                 group = [group[i] if number == group[j] else number for number in group]
     joined = [[one for one, of in zip(findings, group) if of == number] for number in dict.fromkeys(group)]
     return [one for some in joined for one in ([_joined(some)] if len(some) > 1 else some)]

@@ -108,6 +108,15 @@ class StackFormation(NetworkFormation):
         """As of ``Formation``: of its own features."""
         return F.pad((self.of_each(gaussians) + 1) / 2, (0, 1))
 
+    def graded(self, rendered: RenderedFrame) -> Tensor:
+        """As of ``Formation``: the coordinates, of features their direction; what a basis leaves out is not shown."""
+        return self.graded_truth(rendered.images[self.name])
+
+    def graded_truth(self, image: Tensor) -> Tensor:
+        """As of ``Formation``."""
+        coordinates = 2 * image[..., :-1] - 1
+        return ((F.normalize(coordinates, dim=-1) if self.are_directions else coordinates) + 1) / 2
+
     def scores(self, image: Tensor, target: Tensor, mask: Tensor | None) -> Mapping[str, float]:
         """As of ``Formation``: the mean cosine of features, or the PSNR of all bands [dB]."""
         if self.are_directions:
