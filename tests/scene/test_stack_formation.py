@@ -78,3 +78,13 @@ def test_bands_are_combined() -> None:
     rendered.images["stack"] = torch.nn.functional.pad((made + 1) / 2, (0, 1))
     expected = (bands[0, 0, 1] - bands[0, 0, 0]) / (bands[0, 0, 1] + bands[0, 0, 0])
     np.testing.assert_allclose(formation.layer("ndvi", rendered), [[expected, 0.0]], rtol=1e-3)
+
+
+def test_what_a_basis_leaves_out_is_no_error_of_a_scene() -> None:
+    """The budget compares directions of features, of any length; noise outside the basis is shown by no render."""
+    config = toy_run_config(2, spectra={"stack": {"source": "features", "channels": CHANNELS}})
+    formation = SceneModel.from_capture(config, stacked(many_frames(toy_capture())), "cpu").formations["stack"]
+    coordinates = torch.randn(2, 3, LATENT, generator=torch.Generator().manual_seed(0)) / 10
+    truth = torch.cat([(coordinates + 1) / 2, torch.full((2, 3, 1), 0.8)], dim=-1)
+    longer = torch.cat([(3 * coordinates + 1) / 2, torch.zeros(2, 3, 1)], dim=-1)
+    torch.testing.assert_close(formation.graded_truth(longer), formation.graded_truth(truth))
