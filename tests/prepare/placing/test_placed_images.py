@@ -26,7 +26,7 @@ def night() -> NightFlight:
 
 
 def scene_of(night: NightFlight) -> Scene:
-    return Scene(night.photographs, night.images, night.gps, 4)
+    return Scene(night.photographs, night.images, night.gps, 0.05, 4)
 
 
 @pytest.mark.parametrize("number", [2, 10])

@@ -1,4 +1,4 @@
-"""The pose of one image at a time: the best of many starts, by the edges that others show and by where it should lie."""
+"""The pose of one image at a time: the best of many starts by the edges that others show, where it should lie."""
 
 from collections.abc import Sequence
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermosplat.prepare.placing.shift_search import Field, Sought, View, turned
 from thermosplat.prepare.placing.world_edges import PER_RADIAN, Photographs, Pose
-from thermosplat.prepare.registration.edge_correlation import QUARTERS
+from thermosplat.prepare.registration.edge_correlation import QUARTERS, rotation_between
 from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 
 WIDTH = 80
@@ -29,11 +29,13 @@ class Path(NamedTuple):
     """The places of thermal images.
 
     Args:
-        poses: Of each.
+        poses: Of each, at a photograph's place, turned.
+        moved: Of each, at a place beside, about as the photograph looks: it shows the same of a plane.
         score: How well they agree, the more the better.
     """
 
     poses: list[Pose]
+    moved: list[Pose]
     score: float
 
 
@@ -75,7 +77,18 @@ def path_through(
                 if score > scores[image, number]:
                     scores[image, number], found[image, number] = score, pose
     path, score = _best_path(_beyond_chance(scores), _steps(starts))
-    return Path([found[image, number] for image, number in enumerate(path)], score)
+    poses = [found[image, number] for image, number in enumerate(path)]
+    moved = [_moved(photographs, starts[number], pose, lens, edges_of) for number, pose in zip(path, poses)]
+    return Path(poses, moved, score)
+
+
+def _moved(photographs: Photographs, start: Pose, pose: Pose, lens: RigCamera, edges_of: int) -> Pose:
+    """A pose that looks where the start does and sees in its middle what another one does, which is turned from it."""
+    points = photographs.edges.points[photographs.before(start.camera(lens), photographs.near(start, edges_of))]
+    depth = float(np.median((points - start.centre) @ start.rotation[2])) if len(points) else 0.0
+    towards = start.rotation @ pose.rotation[2]
+    back = rotation_between(pose.rotation @ start.rotation[2], np.array([0.0, 0.0, 1.0]))
+    return Pose(back @ pose.rotation, start.centre + depth * (towards / towards[2] - [0, 0, 1]) @ start.rotation)
 
 
 def _beyond_chance(scores: Array) -> Array:

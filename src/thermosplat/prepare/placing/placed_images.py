@@ -17,14 +17,18 @@ what thermal images show alike:
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from thermosplat.prepare.placing.about_placed import Prior, about_placed
 from thermosplat.prepare.placing.adjustment import ALL, Adjusted, Step, adjusted
-from thermosplat.prepare.placing.by_gps import placed_by_gps
-from thermosplat.prepare.placing.by_paths import placed_by_paths
+from thermosplat.prepare.placing.by_paths import placed_again, prior_on_path
 from thermosplat.prepare.placing.soundness import sound
 from thermosplat.prepare.placing.thermal_looks import Scene, ThermalImage, shown_by
 from thermosplat.prepare.placing.world_edges import Photographs
 from thermosplat.prepare.registration.rig_camera import Array
 
+_DEVIATION, _LEAST_DEVIATION = 0.5, 0.05
+"""Standard deviation [m] of GPS from image to image to begin with, and at least. Open choice."""
+_AGAIN = 2
+"""Rounds on paths past edges of temperature."""
 _LOOK_STEPS: list[list[Step]] = [
     [(ALL, window)] * 3 for window in ((3.0, 1.25, 0), (2.0, 0.75, 1), (2.0, 0.75, 1), (1.5, 0.5, 1))
 ]
@@ -51,11 +55,14 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
     Args:
         photographs: The photographs.
         images: The thermal images, in the order in which they were taken.
-        gps: Where GPS has each in the world, [N, 3]; None: they are near photographs.
+        gps: Where GPS has each in the world, [N, 3]; None: they lie on a path past the photographs.
     """
-    if gps is None:
-        return _by_looks(*placed_by_paths(photographs, images))
-    return _by_looks(*placed_by_gps(photographs, images, gps))
+    if gps is not None:
+        return _by_looks(*about_placed(photographs, images, Prior(gps, _DEVIATION, _LEAST_DEVIATION)))
+    scene, known = about_placed(photographs, images, prior_on_path(photographs, images))
+    for _ in range(_AGAIN):
+        scene, known = placed_again(scene, known)
+    return _by_looks(scene, known)
 
 
 def _by_looks(scene: Scene, known: Adjusted) -> Placement:

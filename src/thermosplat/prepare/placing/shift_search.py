@@ -60,7 +60,7 @@ class Sought(NamedTuple):
     def of(cls, field: Field) -> "Sought":
         """Of the field of an image."""
         height, width = field.shape
-        spectrum = np.fft.fft2(field, (2 * height, 2 * width))
+        spectrum: Field = np.fft.fft2(field, (2 * height, 2 * width)).astype(np.complex64)
         return cls(spectrum, float((np.abs(field) ** 2).sum()), (height, width))
 
 

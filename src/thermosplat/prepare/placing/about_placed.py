@@ -1,7 +1,8 @@
-"""Thermal images about placed, each from where GPS has it."""
+"""Thermal images about placed, each from where it was taken about: by GPS, or by a path past the photographs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,10 @@ from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 
 _ASKED = 16
 """Images that tell the focal length."""
-_NEAR_BY_GPS, _DIRECTIONS_APART = 8, np.cos(np.radians(15.0))
+_NEAR, _DIRECTIONS_APART = 8, np.cos(np.radians(15.0))
 """Photographs near an image whose directions are tried, and the cosine of the angle from which two are different."""
 _FIRST_REACH, _FIRST_TURNS = 0.19, (-4.0, 0.0, 4.0)
 """Largest shift [image widths] of the first search: a tilt of 3° and GPS that is wrong by metres."""
-_DEVIATION, _LEAST_DEVIATION = 0.5, 0.05
-"""Standard deviation [m] of GPS from image to image to begin with, and at least. Open choice."""
 _PLAIN = 3
 """Rounds by all edges, before the one by those of temperature."""
 _BESIDE = 3
@@ -33,32 +32,46 @@ _CLEAR = 1.15
 """How many times as well as elsewhere edges must agree for an image to be asked first what thermal images show."""
 
 
-def placed_by_gps(photographs: Photographs, images: Sequence[ThermalImage], gps: Array) -> tuple[Scene, Adjusted]:
+class Prior(NamedTuple):
+    """About where images were taken.
+
+    Args:
+        places: Of each, in the order in which they were taken, [N, 3].
+        deviation: Standard deviation by axis from image to image, to begin with.
+        least: What is taken for it at least, however near the images come.
+    """
+
+    places: Array
+    deviation: float
+    least: float
+
+
+def about_placed(photographs: Photographs, images: Sequence[ThermalImage], prior: Prior) -> tuple[Scene, Adjusted]:
     """Images about where they were taken.
 
     Args:
         photographs: The photographs.
-        images: The thermal images, in the order in which they were taken.
-        gps: Where GPS has each in the world, [N, 3].
+        images: The thermal images.
+        prior: What is known of their places.
     """
     fields = [edge_field(image.slopes, working_width=SEARCH_WIDTH) for image in images]
-    scene = Scene(photographs, images, gps, _LEAST_DEVIATION, EDGES_OF_PLAIN)
-    known = Adjusted(_first_lens(scene, fields), {}, np.zeros(3), _DEVIATION)
+    scene = Scene(photographs, images, prior.places, prior.least, EDGES_OF_PLAIN)
+    known = Adjusted(_first_lens(scene, fields), {}, np.zeros(3), prior.deviation)
     everyone = range(len(images))
     with progress_bar("places", (_PLAIN + 1) * len(images)) as advance:
         for round_number in range(_PLAIN):
             turns, reach = (TURNS, REACH) if round_number else (_FIRST_TURNS, _FIRST_REACH)
             trials = {}
             for number in everyone:
-                place = gps[number] - known.common_error
+                place = prior.places[number] - known.common_error
                 trials[number] = _searched(scene, fields[number], place, known.lens, turns, reach)
                 advance(1)
             poses = {number: trial.pose for number, trial in trials.items()}
-            known = adjusted(scene, replace(known, poses=poses, deviation=_DEVIATION), PLAIN_STEPS)
+            known = adjusted(scene, replace(known, poses=poses, deviation=prior.deviation), PLAIN_STEPS)
         clear = [number for number, trial in trials.items() if trial.clear > _CLEAR]
         scene = scene._replace(edges_of=EDGES_OF)
         shown = shown_by(scene, known.poses, known.lens, clear)
-        pieces = straight_pieces(gps)
+        pieces = straight_pieces(prior.places)
         poses = {}
         for number in everyone:
             directions = [known.poses[one].rotation for one in _beside(number, pieces, clear)]
@@ -85,7 +98,7 @@ def _searched(scene: Scene, field: Field, place: Array, lens: RigCamera, turns: 
     """The best pose at a place, with any of the directions of photographs near it."""
     starts: list[Pose] = []
     apart = [np.linalg.norm(pose.centre - place) for pose in scene.photographs.poses]
-    for near in np.argsort(apart)[:_NEAR_BY_GPS]:
+    for near in np.argsort(apart)[:_NEAR]:
         rotation = scene.photographs.poses[near].rotation
         if all(rotation[2] @ other.rotation[2] < _DIRECTIONS_APART for other in starts):
             starts.append(Pose(rotation, place))
