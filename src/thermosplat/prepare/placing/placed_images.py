@@ -3,13 +3,15 @@
 The method is that of edges which do not depend on the spectrum, searched and adjusted from coarse to fine, and then of
 what thermal images show alike:
 
-1. Each image is searched alone from where GPS has it, with the directions of photographs near it and quarter turns of
-   them. The focal length is the one by which some images agree best.
-2. All poses, the lens and the common error of GPS are adjusted together, and images are searched again from there.
+1. GPS says about where each image was taken. Without GPS a path past the photographs does (``photograph_places``).
+2. Each image is searched alone from there, with the directions of photographs near it and quarter turns of them. The
+   focal length is the one by which some images agree best. All poses, the lens and the common error of the places are
+   adjusted together, and images are searched again.
 3. Placed images tell which edges of photographs are edges of temperature (``thermal_looks``). With these alone each
-   image is searched again, from several places around where GPS has it, and the best is kept.
-4. An image counts as placed if it shows what the others show there, about as well as most do, and if it lies where GPS
-   has it. It shows edges and a look. Nothing was drawn to looks so far, so that wrong images with many edges look
+   image is searched again, from several places around, and the best is kept. Without GPS, images that are not placed
+   take a better path then, past edges of temperature.
+4. An image counts as placed if it shows what the others show there, about as well as most do, and if it lies where it
+   should. It shows edges and a look. Nothing was drawn to looks so far, so that wrong images with many edges look
    unlike the others.
 5. The placed ones are adjusted together by edges and looks, and judged again.
 """
