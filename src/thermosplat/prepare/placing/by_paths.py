@@ -43,12 +43,13 @@ def prior_on_path(photographs: Photographs, images: Sequence[ThermalImage]) -> P
     return Prior(np.array([pose.centre for pose in path.moved]), deviation, deviation)
 
 
-def placed_again(scene: Scene, known: Adjusted) -> tuple[Scene, Adjusted]:
+def placed_again(scene: Scene, known: Adjusted, everyone: bool) -> tuple[Scene, Adjusted]:
     """Images that are not placed so far, from where a path past edges of temperature has them, beside those that are.
 
     Args:
         scene: Edges and places.
         known: All poses so far.
+        everyone: Those that are placed are searched, too, from where they are.
     """
     right, _ = sound(scene, known)
     shown = shown_by(scene, known.poses, known.lens, right)
@@ -63,7 +64,7 @@ def placed_again(scene: Scene, known: Adjusted) -> tuple[Scene, Adjusted]:
     poses = dict(starts)
     with progress_bar("places", len(poses)) as advance:
         for number, pose in starts.items():
-            if number not in right:
+            if everyone or number not in right:
                 expected = shown.without(number)
                 poses[number] = best_pose(scene, number, fields[number], known, expected, [pose.rotation])
             advance(1)
