@@ -27,6 +27,8 @@ _TURNS = (-4.0, 0.0, 4.0)
 _OF_SPACING = 0.25
 """Standard deviation of places on a path [spacings of photographs]: on a rendered flight two in three are as near to
 the truth as half a spacing."""
+_LEAST_OF_SPACING = 1 / 32
+"""The same of places to which a search leads back. Open choice."""
 
 
 def prior_on_path(photographs: Photographs, images: Sequence[ThermalImage]) -> Prior:
@@ -49,9 +51,11 @@ def placed_again(scene: Scene, known: Adjusted, everyone: bool) -> tuple[Scene, 
     Args:
         scene: Edges and places.
         known: All poses so far.
-        everyone: Those that are placed are searched, too, from where they are.
+        everyone: Those that are placed are searched, too, from where they are. Right poses lead back there.
     """
-    right, _ = sound(scene, known)
+    unit = spacing(scene.photographs.poses)
+    deviation = _OF_SPACING * unit
+    right, _ = sound(scene, replace(known, deviation=deviation))
     shown = shown_by(scene, known.poses, known.lens, right)
     fields, coarse = (
         [edge_field(image.slopes, working_width=width) for image in scene.images] for width in (SEARCH_WIDTH, WIDTH)
@@ -59,8 +63,9 @@ def placed_again(scene: Scene, known: Adjusted, everyone: bool) -> tuple[Scene, 
     weights = shown.without(None).weights
     path = path_through(scene.photographs, coarse, known.lens, _TURNS, edges_of=scene.edges_of, weights=weights)
     starts = {number: known.poses[number] if number in right else pose for number, pose in enumerate(path.moved)}
-    scene = scene._replace(places=np.array([pose.centre for pose in starts.values()]))
-    known = replace(known, poses=starts, common_error=np.zeros(3), deviation=scene.deviation)
+    least = _LEAST_OF_SPACING * unit if everyone else deviation
+    scene = scene._replace(places=np.array([pose.centre for pose in starts.values()]), deviation=least)
+    known = replace(known, poses=starts, common_error=np.zeros(3), deviation=deviation)
     poses = dict(starts)
     with progress_bar("places", len(poses)) as advance:
         for number, pose in starts.items():

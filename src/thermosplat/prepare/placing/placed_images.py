@@ -29,8 +29,8 @@ from thermosplat.prepare.registration.rig_camera import Array
 
 _DEVIATION, _LEAST_DEVIATION = 0.5, 0.05
 """Standard deviation [m] of GPS from image to image to begin with, and at least. Open choice."""
-_AGAIN = 3
-"""Rounds on paths past edges of temperature."""
+_AGAIN = (False, False, True, True)
+"""Rounds on paths past edges of temperature, and whether they search images that are placed, too."""
 _LOOK_STEPS: list[list[Step]] = [
     [(ALL, window)] * 3 for window in ((3.0, 1.25, 0), (2.0, 0.75, 1), (2.0, 0.75, 1), (1.5, 0.5, 1))
 ]
@@ -62,8 +62,8 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
     if gps is not None:
         return _by_looks(*about_placed(photographs, images, Prior(gps, _DEVIATION, _LEAST_DEVIATION)))
     scene, known = about_placed(photographs, images, prior_on_path(photographs, images))
-    for round_number in range(_AGAIN):
-        scene, known = placed_again(scene, known, everyone=round_number == _AGAIN - 1)
+    for everyone in _AGAIN:
+        scene, known = placed_again(scene, known, everyone)
     return _by_looks(scene, known)
 
 
