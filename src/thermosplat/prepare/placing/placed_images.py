@@ -29,7 +29,7 @@ from thermosplat.prepare.registration.rig_camera import Array
 
 _DEVIATION, _LEAST_DEVIATION = 0.5, 0.05
 """Standard deviation [m] of GPS from image to image to begin with, and at least. Open choice."""
-_AGAIN = (False, False, True, True)
+_AGAIN = (False, False, True)
 """Rounds on paths past edges of temperature, and whether they search images that are placed, too."""
 _LOOK_STEPS: list[list[Step]] = [
     [(ALL, window)] * 3 for window in ((3.0, 1.25, 0), (2.0, 0.75, 1), (2.0, 0.75, 1), (1.5, 0.5, 1))
