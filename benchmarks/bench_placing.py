@@ -2,19 +2,28 @@
 
     thermosplat-prepare data/flight_a/visible --thermal data/flight_b/thermal --out captures/night
     python benchmarks/bench_placing.py captures/night data/flight_a/truth.json data/flight_b/truth.json
+    python benchmarks/bench_placing.py captures/lab --every-second data/rgbt_synthetic/lab
 
+The second makes captures/lab: photographs of odd frames, thermal images of even ones without a pose, and places these.
 The truths (``preparation/rig_truth.py``) share one world. The error of an image is the median distance [px] between
 where the points of the photographs' model land in the found and in the true camera, of those inside the true image.
 """
 
 import argparse
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2  # noqa: F401  (before pycolmap, see src/thermosplat/datasets/lens.py)
+import cv2
 import numpy as np
 import pycolmap
+from numpy.typing import NDArray
+
+from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, FrameRow
+from thermosplat.prepare.placing.place_step import place_unpaired
+
+Array = NDArray[np.float64]
 
 _RIGHT, _WRONG = 2.0, 6.0
 """Errors [px] up to which an image is placed rightly, and from which on it is wrong."""
@@ -45,26 +54,69 @@ def placing_errors(sparse: Path, day: dict[str, Any], night: dict[str, Any]) -> 
             errors[stem] = None
             continue
         world_to_camera = np.linalg.inv(np.array(pose) @ night["thermal_to_visible"])[:3]
-        local = np.column_stack([points @ to_truth.matrix().T, points[:, 3]]) @ world_to_camera.T
-        before = local[:, 2] > 0
-        pixels = camera.img_from_cam(local[before])
-        inside = ((pixels > 0) & (pixels < [camera.width, camera.height])).all(axis=1)
+        to_camera = world_to_camera @ np.vstack([to_truth.matrix(), [0, 0, 0, 1]])
         found = thermal[stem]
-        seen = points[before][inside] @ found.cam_from_world().matrix().T
-        landed = model.cameras[found.camera_id].img_from_cam(seen)
-        errors[stem] = float(np.median(np.linalg.norm(landed - pixels[inside], axis=1)))
+        pose_found = found.cam_from_world().matrix()
+        errors[stem] = _error(points, to_camera, camera, pose_found, model.cameras[found.camera_id])
     return errors
+
+
+def placed_every_second(capture: CaptureFolder, paired: Path) -> dict[str, float | None]:
+    """The error of the thermal images of every second frame of a paired capture, whose cameras are one."""
+    model = pycolmap.Reconstruction(paired / "sparse" / "0")
+    even, odd = (sorted(model.images.values(), key=lambda image: image.name)[first::2] for first in (0, 1))
+    for spectrum in (LEADING, OTHER):
+        capture.images(spectrum).mkdir(parents=True)
+    frames = []
+    for image in even:
+        values = cv2.imread(str(paired / "thermal_raw" / f"{Path(image.name).stem}.tiff"), cv2.IMREAD_UNCHANGED)
+        frames.append(FrameRow(OTHER, f"{Path(image.name).stem}.png", image.name, *values.shape[::-1]))
+        cv2.imwrite(str(capture.images(OTHER) / frames[-1].file), values)
+    shutil.copy(paired / "thermal_raw" / "units.json", capture.units_json)
+    capture.write_frames(frames)
+    capture.write_pairs([])
+    true = {Path(image.name).stem: image.cam_from_world().matrix() for image in even}
+    for image in even:
+        model.deregister_frame(image.frame_id)
+    for image in odd:
+        shutil.copy(next((paired / LEADING).rglob(image.name)), capture.images(LEADING))
+        image.name = f"{LEADING}/{image.name}"
+    camera = model.cameras[odd[0].camera_id]
+    print("\n".join(place_unpaired(capture, model)))
+    made = pycolmap.Reconstruction(capture.sparse)
+    placed = {Path(image.name).stem: image for image in made.images.values() if image.name.startswith(OTHER)}
+    points = np.array([(*p.xyz, 1.0) for p in made.points3D.values() if p.track.length() >= _LEAST_TRACK])
+    errors: dict[str, float | None] = dict.fromkeys(true)
+    for stem, found in placed.items():
+        errors[stem] = _error(
+            points, true[stem], camera, found.cam_from_world().matrix(), made.cameras[found.camera_id]
+        )
+    return errors
+
+
+def _error(
+    points: Array, true_pose: Array, true_camera: pycolmap.Camera, pose: Array, camera: pycolmap.Camera
+) -> float:
+    """Median distance [px] between where points [N, 4] inside the true image land in both cameras."""
+    local = points @ true_pose.T
+    pixels = true_camera.img_from_cam(local)
+    inside = (local[:, 2] > 0) & (pixels > 0).all(1) & (pixels < [true_camera.width, true_camera.height]).all(1)
+    landed = camera.img_from_cam(points[inside] @ pose.T)
+    return float(np.median(np.linalg.norm(landed - pixels[inside], axis=1)))
 
 
 def main() -> None:
     """Print how many images are placed rightly, and each that is not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path, help="what thermosplat-prepare made")
-    parser.add_argument("day", type=Path, help="truth.json of the photographs")
-    parser.add_argument("night", type=Path, help="truth.json of the thermal images")
+    parser.add_argument("capture", type=Path, help="what thermosplat-prepare made, or a new folder")
+    parser.add_argument("truths", type=Path, nargs="*", help="truth.json of the photographs, and of the thermal images")
+    parser.add_argument("--every-second", type=Path, metavar="PAIRED", help="a paired capture of one camera")
     arguments = parser.parse_args()
-    truths = [json.loads(path.read_text()) for path in (arguments.day, arguments.night)]
-    errors = placing_errors(arguments.capture / "sparse" / "0", truths[0], truths[1])
+    if arguments.every_second:
+        errors = placed_every_second(CaptureFolder(arguments.capture), arguments.every_second)
+    else:
+        day, night = (json.loads(path.read_text()) for path in arguments.truths)
+        errors = placing_errors(arguments.capture / "sparse" / "0", day, night)
     placed = [error for error in errors.values() if error is not None]
     right, wrong = sum(error < _RIGHT for error in placed), sum(error > _WRONG for error in placed)
     print(f"{len(placed)} of {len(errors)} placed: {right} within {_RIGHT:g} px, {wrong} beyond {_WRONG:g} px, median")

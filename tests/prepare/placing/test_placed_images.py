@@ -26,7 +26,7 @@ def night() -> NightFlight:
 
 
 def scene_of(night: NightFlight) -> Scene:
-    return Scene(night.photographs, night.images, night.gps, 4)
+    return Scene(night.photographs, night.images, night.gps, 0.05, 4)
 
 
 @pytest.mark.parametrize("number", [2, 10])
@@ -99,11 +99,12 @@ def test_looks_draw_an_image_to_the_others(night: NightFlight) -> None:
 
 
 @pytest.mark.slow
-def test_images_find_their_places(night: NightFlight) -> None:
-    """Nothing is known but GPS: nearly all within two pixels, none wrong, and an image of noise is left out."""
+@pytest.mark.parametrize("by_gps", [True, False])
+def test_images_find_their_places(night: NightFlight, by_gps: bool) -> None:
+    """By GPS or by a path: nearly all within two pixels, none wrong, and an image of noise is left out."""
     noise = ThermalImage.of(np.random.default_rng(0).normal(0, 0.1, night.images[5].slopes.shape[:2]))
     images = [noise if number == 5 else image for number, image in enumerate(night.images)]
-    found = placed_images(night.photographs, images, night.gps)
+    found = placed_images(night.photographs, images, night.gps if by_gps else None)
     errors = {number: night.error(number, found.known.poses[number], found.known.lens) for number in found.right}
     assert 5 not in errors
     assert sum(error < 2 for error in errors.values()) >= 11

@@ -42,6 +42,17 @@ Window = tuple[float, float, int | None]
 Step = tuple[Sequence[str], Window]
 """Unknowns of the lens that change, and the window."""
 
+ALL = ("log_f", "k1", "cx", "cy", "k2")
+PLAIN_STEPS: list[Step] = [
+    *[(ALL[:1], (10.0, 4.0, None))] * 3,
+    *[(ALL[:2], (8.0, 3.0, None))] * 5,
+    *[(ALL[:4], (5.0, 2.0, None))] * 5,
+]
+FINE_STEPS: list[Step] = [
+    (ALL, window) for window in ((3.0, 1.25, None), (2.0, 0.75, None), (1.5, 0.5, None)) for _ in range(4)
+]
+"""The lens follows when poses are about right. By all edges, and by those of temperature."""
+
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
@@ -64,7 +75,7 @@ def adjusted(scene: Scene, known: Adjusted, steps: Sequence[Step], shown: Shown 
     """Poses, lens and common error after some steps.
 
     Args:
-        scene: Edges and positions.
+        scene: Edges and places.
         known: Where to start.
         steps: The steps.
         shown: What placed images show; None: any edge counts.
@@ -78,7 +89,7 @@ def adjusted(scene: Scene, known: Adjusted, steps: Sequence[Step], shown: Shown 
         for place, number in enumerate(numbers):
             mine = np.concatenate([np.arange(_POSE * place, _POSE * (place + 1)), shared])
             own = None if shown is None else shown.without(number)
-            error = scene.gps[number] - common - poses[number].centre
+            error = scene.places[number] - common - poses[number].centre
             matrix, side = _of_image(scene, number, poses[number], lens, window, own, error, known.deviation)
             normal[np.ix_(mine, mine)] += matrix
             right[mine] += side
@@ -96,8 +107,10 @@ def adjusted(scene: Scene, known: Adjusted, steps: Sequence[Step], shown: Shown 
         }
         poses, common = moved, common + change[size + _LENS :]
         lens = lens.moved(np.concatenate([np.zeros(_POSE), change[size : size + _LENS]]))
-    off = [float(np.linalg.norm(scene.gps[n] - common - poses[n].centre)) for n in numbers]
-    return replace(known, lens=lens, poses=poses, common_error=common, deviation=gps_deviation(off, known.deviation))
+    off = [float(np.linalg.norm(scene.places[n] - common - poses[n].centre)) for n in numbers]
+    return replace(
+        known, lens=lens, poses=poses, common_error=common, deviation=_deviation(off, known.deviation, scene.deviation)
+    )
 
 
 def aligned(
@@ -106,7 +119,7 @@ def aligned(
     """The pose of one image after some steps of its own.
 
     Args:
-        scene: Edges and positions.
+        scene: Edges and places.
         number: The image.
         pose: Where to start.
         known: The lens, and what is known of GPS.
@@ -114,7 +127,7 @@ def aligned(
         expected: What the image should show.
     """
     for window in windows:
-        error = scene.gps[number] - known.common_error - pose.centre
+        error = scene.places[number] - known.common_error - pose.centre
         matrix, side = _of_image(scene, number, pose, known.lens, window, expected, error, known.deviation)
         if not matrix[:3, :3].any():
             return pose
@@ -123,9 +136,9 @@ def aligned(
     return pose
 
 
-def gps_deviation(off: Sequence[float], otherwise: float) -> float:
-    """Standard deviation by axis of the median distance in three dimensions (chi distribution); at least 5 cm."""
-    return max(float(np.median(off)) / 1.538, 0.05) if len(off) else otherwise
+def _deviation(off: Sequence[float], otherwise: float, least: float) -> float:
+    """Standard deviation by axis of the median distance in three dimensions (chi distribution)."""
+    return max(float(np.median(off)) / 1.538, least) if len(off) else otherwise
 
 
 def _of_image(

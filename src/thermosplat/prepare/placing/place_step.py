@@ -36,37 +36,39 @@ def place_unpaired(capture: CaptureFolder, model: pycolmap.Reconstruction) -> li
         What was found.
 
     Raises:
-        UserError: Positions are missing, too few images can be placed, or they cannot be read.
+        UserError: There are too few images, too few can be placed, or they cannot be read.
     """
     frames = sorted(capture.read_frames(OTHER), key=lambda row: row.file)
     gps = _positions(capture, frames)
-    rows = [row for row, place in zip(frames, gps) if np.isfinite(place).all()]
-    if len(rows) < FEWEST_PLACED:
+    if len(frames) < FEWEST_PLACED:
         raise UserError(
-            f"{len(rows)} of {counted(len(frames), 'thermal image')} of {capture.root} "
-            f"{agreeing(len(rows), 'has', 'have')} a GPS position in the photographs' world, and images of another "
-            f"hour are placed from {FEWEST_PLACED} on.",
-            "Photographs and thermal images need latitude, longitude and altitude: in their files, or in a table such "
-            "as gps.csv beside them (docs/prepare.md#import).",
+            f"{capture.root} has {counted(len(frames), 'thermal image')} of another hour, and they are placed from "
+            f"{FEWEST_PLACED} on.",
+            "Import more of them, or pair them with the photographs if they were taken together: "
+            f"thermosplat-prepare pair {capture.root}",
         )
+    has_gps = np.isfinite(gps.sum(axis=1))
+    by_gps = bool(has_gps.sum() >= FEWEST_PLACED)
+    rows = [row for row, has in zip(frames, has_gps) if has or not by_gps]
     images = sorted(
         (image for image in model.images.values() if image.has_pose and is_photograph(image)),
         key=lambda image: image.name,
     )
     thermal = thermal_images(capture, [row.file for row in rows], "frames.csv")
     photographs = photographs_of(model, images, capture.root / "images", round(1.5 * thermal[0].shape[1]))
-    found = placed_images(photographs, [ThermalImage.of(image) for image in thermal], gps[np.isfinite(gps).all(axis=1)])
+    found = placed_images(photographs, [ThermalImage.of(image) for image in thermal], gps[has_gps] if by_gps else None)
     if len(found.right) < FEWEST_PLACED or found.share < _LEAST_SHARE:
         raise UserError(
             f"The thermal images of {capture.root} cannot be placed among the photographs: an image shows "
             f"{found.share:.0%} of what the others show there, and {_LEAST_SHARE:.0%} are needed.",
-            "Do they show the same place, with contours of warm and cold things?",
+            "Do they show the same place, with contours of warm and cold things? GPS positions help, in files or in "
+            "a gps.csv beside them (docs/prepare.md#import).",
         )
     poses = {
         rows[number].file: found.known.poses[number].camera(found.known.lens).colmap_pose() for number in found.right
     }
     write_model(with_unpaired(model, found.known.lens, poses), capture.sparse)
-    return _said(found, rows, frames)
+    return _said(found, rows, frames, by_gps)
 
 
 def _positions(capture: CaptureFolder, rows: list[FrameRow]) -> Array:
@@ -80,7 +82,7 @@ def _positions(capture: CaptureFolder, rows: list[FrameRow]) -> Array:
     return places
 
 
-def _said(found: Placement, rows: list[FrameRow], frames: list[FrameRow]) -> list[str]:
+def _said(found: Placement, rows: list[FrameRow], frames: list[FrameRow], by_gps: bool) -> list[str]:
     f, cx, cy, k1, k2 = found.known.lens.lens
     common = " ".join(f"{x:+.1f}" for x in found.known.common_error)
     count = len(found.right)
@@ -89,7 +91,9 @@ def _said(found: Placement, rows: list[FrameRow], frames: list[FrameRow]) -> lis
         f"among the {LEADING} images; one shows {found.share:.0%} of what the others show there, in the median.",
         f"Thermal lens: focal length {f:.1f} px, principal point {cx:.1f}, {cy:.1f}, distortion {k1:.3f}, {k2:.3f}.",
         f"Their GPS positions have a common error of {common} m east, north and up against the photographs', and a "
-        f"standard deviation of {found.known.deviation:.2f} m by axis beyond that.",
+        f"standard deviation of {found.known.deviation:.2f} m by axis beyond that."
+        if by_gps
+        else "They have no GPS positions: each was searched near all photographs, along a path in the order of names.",
     ]
     placed = {rows[number].file for number in found.right}
     lost = [row.file for row in frames if row.file not in placed]

@@ -6,6 +6,7 @@ alone: wind turns a drone by degrees from image to image, which is tens of pixel
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -42,6 +43,82 @@ class Trial:
     clear: float
 
 
+class Sought(NamedTuple):
+    """The edges of an image, to be found in views.
+
+    Args:
+        spectrum: Of the padded field.
+        energy: Of the field.
+        shape: Of the field.
+    """
+
+    spectrum: Field
+    energy: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, field: Field) -> "Sought":
+        """Of the field of an image."""
+        height, width = field.shape
+        spectrum: Field = np.fft.fft2(field, (2 * height, 2 * width)).astype(np.complex64)
+        return cls(spectrum, float((np.abs(field) ** 2).sum()), (height, width))
+
+
+class View(NamedTuple):
+    """The photographs' edges before a camera, to find images in.
+
+    Args:
+        pose: The camera's.
+        lens: Its lens.
+        spectrum: Of the drawn edges, conjugate.
+        inside: Energy of the edges that each shift has inside an image.
+    """
+
+    pose: Pose
+    lens: RigCamera
+    spectrum: Field
+    inside: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls,
+        photographs: Photographs,
+        near: Sequence[int],
+        pose: Pose,
+        lens: RigCamera,
+        shape: tuple[int, int],
+        weights: Array | None,
+    ) -> "View":
+        """What a camera sees of the edges of some photographs, for fields of a shape."""
+        drawn = _drawn(photographs, near, pose.camera(lens), shape, weights)
+        window = np.fft.fft2(np.ones(shape, np.float32), drawn.shape)
+        energy = np.abs(drawn) ** 2
+        inside = np.fft.ifft2(window * np.conj(np.fft.fft2(energy))).real
+        return cls(pose, lens, np.conj(np.fft.fft2(drawn)), np.maximum(inside, LEAST_COVERED * energy.sum() + 1e-9))
+
+    def peaks(self, sought: Sought, reach: float, most: int = 2) -> list[tuple[float, Pose]]:
+        """Score and pose of the best agreement of an image, and of the best ones elsewhere, up to a shift [widths]."""
+        (h, w), (tall, wide) = sought.shape, self.inside.shape
+        score = np.fft.ifft2(sought.spectrum * self.spectrum).real / np.sqrt(self.inside * sought.energy + 1e-9)
+        score = np.roll(score, ((tall - h) // 2 + tall // 2, (wide - w) // 2 + wide // 2), (0, 1))
+        radius = round(reach * w)
+        rows, columns = (slice(size // 2 - radius, size // 2 + radius + 1) for size in score.shape)
+        near = score[rows, columns]
+        peaks = []
+        for _ in range(most):
+            y, x = np.unravel_index(near.argmax(), near.shape)
+            cells = np.array([x - radius, y - radius]) / w
+            peaks.append((float(near[y, x]), self._shifted(cells)))
+            near[max(0, y - _ONE_PEAK) : y + _ONE_PEAK + 1, max(0, x - _ONE_PEAK) : x + _ONE_PEAK + 1] = -np.inf
+        return peaks
+
+    def _shifted(self, shift: Array) -> Pose:
+        """The pose turned so that the middle of the image is seen elsewhere by a shift [image widths]."""
+        towards = np.array([*shift * self.lens.width / self.lens.lens[0], 1.0])
+        rotation = rotation_between(np.array([0.0, 0.0, 1.0]), towards / np.linalg.norm(towards))
+        return Pose(rotation @ self.pose.rotation, self.pose.centre)
+
+
 def best_trial(
     field: Field,
     photographs: Photographs,
@@ -65,37 +142,31 @@ def best_trial(
         reach: Largest shift [image widths].
         weights: How much each edge point of the photographs counts, 0 to 1; None: all alike.
     """
-    found = []
+    sought, found = Sought.of(field), []
     for start in starts:
-        near, peaks = photographs.near(start, edges_of), []
-        for turn in turns:
-            pose = Pose(turn_about_axis(turn) @ start.rotation, start.centre)
-            drawn = _drawn(photographs, near, pose.camera(lens), field, weights)
-            peaks.append([(score, _shifted(pose, lens, cells)) for score, cells in _peaks(field, drawn, reach)])
-        found.append(max(peaks, key=lambda two: two[0][0]))
+        near = photographs.near(start, edges_of)
+        views = [View.of(photographs, near, turned(start, turn), lens, sought.shape, weights) for turn in turns]
+        found.append(max((view.peaks(sought, reach) for view in views), key=lambda two: two[0][0]))
     found.sort(key=lambda two: -two[0][0])
     (score, pose), (other_score, other) = found[0]
     return Trial(score, pose, other, score / max(other_score, *(two[0][0] for two in found[1:2]), 1e-9))
 
 
-def _shifted(pose: Pose, lens: RigCamera, cells: Array) -> Pose:
-    """The pose turned so that the middle of the image is seen elsewhere by so many cells."""
-    towards = np.array([*cells * lens.width / SEARCH_WIDTH / lens.lens[0], 1.0])
-    return Pose(
-        rotation_between(np.array([0.0, 0.0, 1.0]), towards / np.linalg.norm(towards)) @ pose.rotation, pose.centre
-    )
+def turned(pose: Pose, angle: float) -> Pose:
+    """The pose turned about its optical axis [°]."""
+    return Pose(turn_about_axis(angle) @ pose.rotation, pose.centre)
 
 
 def _drawn(
-    photographs: Photographs, near: Sequence[int], camera: RigCamera, field: Field, weights: Array | None
+    photographs: Photographs, near: Sequence[int], camera: RigCamera, shape: tuple[int, int], weights: Array | None
 ) -> Field:
-    """[2h, 2w] the photographs' edges as the camera sees them, the image in the middle, in units of the field."""
-    height, width = 2 * field.shape[0], 2 * field.shape[1]
+    """[2h, 2w] the photographs' edges as the camera sees them, the image of that shape in the middle."""
+    height, width = 2 * shape[0], 2 * shape[1]
     numbers = photographs.before(camera, near, weights)
     edges = photographs.some(numbers)
     pixels, ends = camera.project(edges.points)[0], camera.project(edges.along)[0]
     middle = np.array([camera.width, camera.height]) / 2
-    at = np.floor((pixels - middle) * field.shape[1] / camera.width + np.array([width, height]) / 2)
+    at = np.floor((pixels - middle) * shape[1] / camera.width + np.array([width, height]) / 2)
     fits = (at >= 0).all(1) & (at < [width, height]).all(1)
     along = (ends - pixels)[fits]
     normal = (-along[:, 1] + 1j * along[:, 0]) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)
@@ -106,24 +177,3 @@ def _drawn(
     parts = [cv2.GaussianBlur(np.ascontiguousarray(part), (0, 0), _BLUR) for part in (drawn.real, drawn.imag)]
     full = np.maximum(cv2.GaussianBlur(count, (0, 0), _BLUR), 1)
     return ((parts[0] + 1j * parts[1]) / full).astype(np.complex64)
-
-
-def _peaks(field: Field, drawn: Field, reach: float) -> list[tuple[float, Array]]:
-    """Score and shift [px of the field] of the best agreement, and of the best one elsewhere."""
-    (h, w), (tall, wide) = field.shape, drawn.shape
-    agreement = np.fft.ifft2(np.fft.fft2(field, drawn.shape) * np.conj(np.fft.fft2(drawn))).real
-    window = np.fft.fft2(np.ones((h, w), np.float32), drawn.shape)
-    energy = np.abs(drawn) ** 2
-    inside = np.fft.ifft2(window * np.conj(np.fft.fft2(energy))).real
-    inside = np.maximum(inside, LEAST_COVERED * energy.sum() + 1e-9)
-    score = agreement / np.sqrt(inside * (np.abs(field) ** 2).sum() + 1e-9)
-    score = np.roll(score, ((tall - h) // 2 + tall // 2, (wide - w) // 2 + wide // 2), (0, 1))
-    radius = round(reach * w)
-    rows, columns = (slice(size // 2 - radius, size // 2 + radius + 1) for size in score.shape)
-    near = score[rows, columns]
-    peaks = []
-    for _ in range(2):
-        y, x = np.unravel_index(near.argmax(), near.shape)
-        peaks.append((float(near[y, x]), np.array([x - radius, y - radius], np.float64)))
-        near[max(0, y - _ONE_PEAK) : y + _ONE_PEAK + 1, max(0, x - _ONE_PEAK) : x + _ONE_PEAK + 1] = -np.inf
-    return peaks

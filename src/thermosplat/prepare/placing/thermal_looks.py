@@ -22,6 +22,8 @@ from thermosplat.prepare.registration.thermal_edges import normalised, slopes_of
 
 SCALES = (2, 1)
 """Pixels of the image in one of each look: the coarse one draws poses from farther away."""
+EDGES_OF_PLAIN, EDGES_OF = 3, 5
+"""Photographs whose edges an image is compared with, all edges and then those of temperature."""
 _WITHIN = np.arange(-1.0, 1.1, 0.5)
 """Offsets [px] along the normal at which an edge is met."""
 _ASIDE = 8.0
@@ -74,8 +76,10 @@ class Scene(NamedTuple):
     photographs: Photographs
     images: Sequence[ThermalImage]
     """The thermal images."""
-    gps: Array
-    """Where GPS has each, [N, 3]."""
+    places: Array
+    """About where each was taken, by GPS or by the photographs it resembles, [N, 3]."""
+    deviation: float
+    """Standard deviation of these places by axis, at least [world units]."""
     edges_of: int
     """The edges of how many photographs an image is compared with."""
 
@@ -113,10 +117,10 @@ class Shown:
     total: Array
     images: Mapping[int, tuple[NDArray[np.int64], Array]]
 
-    def without(self, number: int) -> Expected:
+    def without(self, number: int | None) -> Expected:
         """What all images but one tell."""
         seen, total = self.seen.copy(), self.total.copy()
-        if number in self.images:
+        if number is not None and number in self.images:
             points, own = self.images[number]
             seen[points] -= 1
             total[points] -= own

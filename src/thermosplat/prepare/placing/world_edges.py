@@ -15,7 +15,7 @@ from thermosplat.prepare.registration.stereo_edges import EdgePoints, photograph
 _EDGES_PER_PHOTOGRAPH = 3000
 _USUAL_NEIGHBOURS = 6
 """Nearest photographs whose median distance is the unit of distances between cameras."""
-_PER_RADIAN = 4.0
+PER_RADIAN = 4.0
 """So many of that unit are as far as one radian between the directions of two views. Open choice."""
 _BEYOND = 1.5
 """Half diagonals from the axis up to which the lens is believed; farther out a polynomial may fold back."""
@@ -68,7 +68,7 @@ class Photographs:
         angle = np.arccos(np.clip(axes @ pose.rotation[2], -1, 1))
         apart = np.linalg.norm([other.centre - pose.centre for other in self.poses], axis=1)
         usual = np.median(np.sort(apart)[:_USUAL_NEIGHBOURS]) + 1e-9
-        return [int(number) for number in np.argsort(apart / usual + _PER_RADIAN * angle)[:most]]
+        return [int(number) for number in np.argsort(apart / usual + PER_RADIAN * angle)[:most]]
 
     def before(self, camera: RigCamera, photographs: Sequence[int], weights: Array | None = None) -> NDArray[np.int64]:
         """Numbers of the edge points of some photographs that lie before a camera and not far aside.
