@@ -46,8 +46,10 @@ def training_views(
     targets: dict[str, list[Tensor]] = {}
     for frame in capture.train[:: -(-len(capture.train) // LOOKED_AT)]:
         for view in rendered_views(model, frame, capture.scales, sh_degree, device):
-            errors.setdefault(view.spectrum, []).append((view.counted - view.target).square().mean().item())
-            targets.setdefault(view.spectrum, []).append(view.target)
+            graded = model.formations[view.spectrum].graded_truth
+            target = graded(view.target)
+            errors.setdefault(view.spectrum, []).append((graded(view.counted) - target).square().mean().item())
+            targets.setdefault(view.spectrum, []).append(target)
     return {
         name: {
             "psnr": _decibels(sum(found) / len(found)),
