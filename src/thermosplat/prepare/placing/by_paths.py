@@ -12,7 +12,7 @@ import numpy as np
 from thermosplat.prepare.placing.about_placed import Prior
 from thermosplat.prepare.placing.adjustment import FINE_STEPS, Adjusted, adjusted
 from thermosplat.prepare.placing.lone_search import best_pose
-from thermosplat.prepare.placing.photograph_places import WIDTH, path_through, spacing
+from thermosplat.prepare.placing.photograph_places import WIDTH, asked_places, path_through, spacing
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field
 from thermosplat.prepare.placing.soundness import sound
 from thermosplat.prepare.placing.thermal_looks import EDGES_OF_PLAIN, Scene, ThermalImage, shown_by
@@ -41,7 +41,7 @@ def prior_on_path(photographs: Photographs, images: Sequence[ThermalImage]) -> P
     fields = [edge_field(image.slopes, working_width=WIDTH) for image in images]
     lens = _first_lens(photographs, images, fields)
     path = path_through(photographs, fields, lens, _TURNS, edges_of=EDGES_OF_PLAIN)
-    deviation = _OF_SPACING * spacing(photographs.poses)
+    deviation = _OF_SPACING * spacing(asked_places(photographs))
     return Prior(np.array([pose.centre for pose in path.moved]), deviation, deviation)
 
 
@@ -53,7 +53,7 @@ def placed_again(scene: Scene, known: Adjusted, everyone: bool) -> tuple[Scene, 
         known: All poses so far.
         everyone: Those that are placed are searched, too, from where they are. Right poses lead back there.
     """
-    unit = spacing(scene.photographs.poses)
+    unit = spacing(asked_places(scene.photographs))
     deviation = _OF_SPACING * unit
     right, _ = sound(scene, replace(known, deviation=deviation))
     shown = shown_by(scene, known.poses, known.lens, right)

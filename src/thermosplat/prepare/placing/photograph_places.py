@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.placing.shift_search import Field, Sought, View, turned
 from thermosplat.prepare.placing.world_edges import PER_RADIAN, Photographs, Pose
 from thermosplat.prepare.registration.edge_correlation import QUARTERS, rotation_between
@@ -20,6 +21,8 @@ WIDTH = 80
 """Width [px] at which edges are compared: a search through all photographs takes a quarter of the time."""
 _REACH = 0.25
 """Largest shift [image widths]: half the way to the next photograph of a flight that overlaps by 80%, and a tilt."""
+_MOST_PLACES = 200
+"""Photographs near which images are looked for: the time grows with their number times that of images. Open choice."""
 _PER_SPACING, _AT_MOST = 0.3, 2.0
 """What a step to a place as far as photographs are from each other costs, and any step at most [standard deviations of
 the agreement at wrong places]. Open choice."""
@@ -37,6 +40,11 @@ class Path(NamedTuple):
     poses: list[Pose]
     moved: list[Pose]
     score: float
+
+
+def asked_places(photographs: Photographs) -> list[Pose]:
+    """Poses of photographs near which images are looked for: all, or some spread over them."""
+    return [photographs.poses[number] for number in evenly_chosen(len(photographs.poses), _MOST_PLACES)]
 
 
 def spacing(poses: Sequence[Pose]) -> float:
@@ -65,7 +73,7 @@ def path_through(
         weights: How much each edge point of the photographs counts, 0 to 1; None: all alike.
     """
     images = [Sought.of(field) for field in fields]
-    starts = [turned(pose, quarter) for pose in photographs.poses for quarter in QUARTERS]
+    starts = [turned(pose, quarter) for pose in asked_places(photographs) for quarter in QUARTERS]
     scores = np.full((len(images), len(starts)), -np.inf)
     found: dict[tuple[int, int], Pose] = {}
     for number, start in enumerate(starts):
