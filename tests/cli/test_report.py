@@ -30,8 +30,10 @@ def test_report_of_a_run(run: Run, finished: Path, tmp_path: Path) -> None:
     pdf = (folder / "report" / "report.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
     assert len(re.findall(rb"/Type /Page\b", pdf)) > page.count('class="new-page"')  # a long table goes on
-    listed = json.loads((folder / "report" / "findings.json").read_text())["findings"]
+    written = json.loads((folder / "report" / "findings.json").read_text())
+    listed, things = written["findings"], written["things"]
     assert len(listed) == page.count("<h3")
+    assert bool(things) == ("Things that have nothing like them" in page)
     assert [one.place for one in read_findings(folder)] == [tuple(one["place"]) for one in listed]
     said = folder / "report.yaml"
     text = said.read_text().replace('client: ""', 'client: "Müller <b>& Co</b>"  # mine')

@@ -50,7 +50,7 @@ class ReportArguments(TemperatureSettings, RunOnCaptureArguments):
 def _report(arguments: ReportArguments) -> int:
     with importing():
         from thermosplat.reporting.camera_facts import camera_facts
-        from thermosplat.reporting.content import Report, blocks_of, findings_of
+        from thermosplat.reporting.content import Report, blocks_of, findings_of, things_of
         from thermosplat.reporting.findings import LEAST_DEGREES, find
         from thermosplat.reporting.findings_file import FINDINGS_FILE, REPORT_FOLDER, findings_text
         from thermosplat.reporting.page_html import html_of
@@ -136,7 +136,7 @@ def _report(arguments: ReportArguments) -> int:
     if "pdf" in arguments.format:
         write_bytes(output / "report.pdf", pdf_of(blocks, arguments.language))
         print(output / "report.pdf")
-    write_text(output / FINDINGS_FILE, findings_text(spectrum, report.unit, findings_of(report)))
+    write_text(output / FINDINGS_FILE, findings_text(spectrum, report.unit, findings_of(report), things_of(report)))
     print(f"{len(listed)} finding{'' if len(listed) == 1 else 's'}")
     return 0
 

@@ -89,19 +89,24 @@ def findings_of(report: Report) -> list[dict[str, Any]]:
             f"{report.words['area']} {_area(report, one)}",
         ]
         said = filter(None, (*numbers, entry.severity, entry.comment))
-        listed.append(
-            {
-                "name": f"{number} {entry.title}".strip(),
-                "text": ", ".join(said),
-                "place": list(one.region.place),
-                "minimum": one.minimum,
-                "maximum": one.maximum,
-                "mean": one.mean,
-                "reference": one.reference,
-                "area": one.region.area if one.area is None else one.area,
-            }
-        )
+        listed.append({"name": f"{number} {entry.title}".strip(), "text": ", ".join(said), **_plain(one)})
     return listed
+
+
+def things_of(report: Report) -> list[dict[str, Any]]:
+    """The things that are listed beside the findings, likewise."""
+    return [_plain(one) for one in report.found.things]
+
+
+def _plain(one: Finding) -> dict[str, Any]:
+    return {
+        "place": list(one.region.place),
+        "minimum": one.minimum,
+        "maximum": one.maximum,
+        "mean": one.mean,
+        "reference": one.reference,
+        "area": one.region.area if one.area is None else one.area,
+    }
 
 
 def _first_page(report: Report) -> Iterator[Block]:

@@ -1,9 +1,10 @@
 """findings.json beside a report: its findings for programs, and for the page of ``thermosplat-export --format html``.
 
     {"format": "thermosplat-findings", "version": 1, "spectrum": "thermal", "unit": "°C",
-     "findings": [{"name": "1 Window", "text": "mean 31.2 °C, ...", "place": [x, y, z], "mean": 31.2, ...}]}
+     "findings": [{"name": "1 Window", "text": "mean 31.2 °C, ...", "place": [x, y, z], "mean": 31.2, ...}],
+     "things": [{"place": [x, y, z], "mean": 45.0, ...}]}
 
-Places are in the world of the capture.
+Things have nothing like them around. Places are in the world of the capture.
 """
 
 import json
@@ -30,16 +31,20 @@ class KnownFinding:
     """In the world."""
 
 
-def findings_text(spectrum: str, unit: str, findings: list[dict[str, Any]]) -> str:
+def findings_text(spectrum: str, unit: str, findings: list[dict[str, Any]], things: list[dict[str, Any]]) -> str:
     """The file's text.
 
     Args:
         spectrum: In which they were found.
         unit: Of its values.
         findings: Name, text, place and numbers of each.
+        things: Place and numbers of each.
     """
-    content = {"format": FORMAT, "version": VERSION, "spectrum": spectrum, "unit": unit, "findings": findings}
-    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    content = {"format": FORMAT, "version": VERSION, "spectrum": spectrum, "unit": unit}
+    return (
+        json.dumps(content | {"findings": findings, "things": things}, indent=1, allow_nan=False, ensure_ascii=False)
+        + "\n"
+    )
 
 
 def read_findings(run: Path) -> list[KnownFinding]:
