@@ -51,6 +51,7 @@ def kept_channels(channels: int, first_channels: int, by_pair: bool) -> tuple[in
 
 def sums_apart(channels: int, first_channels: int, by_pair: bool, absgrad: bool) -> bool:
     """Whether there are no records: all sums are added where gradients lie.
+
     The other arguments are those of ``kept_channels``.
 
     Args:
@@ -64,6 +65,7 @@ def ranges_apart(
     channels: int, first_channels: int, thermal_channels: int, by_pair: bool, absgrad: bool = False
 ) -> list[tuple[str, int, int]] | None:
     """Components of a Gaussian's sums that are not in its record, for ``accumulate_snippet``.
+
     The other arguments are those of ``kept_channels``.
 
     Args:

@@ -105,6 +105,7 @@ def project_through_lenses_adjoint(
     add_to_means: bool = False,
 ) -> None:
     """The adjoint of ``project_through_lenses``, as ``project_gaussians_adjoint`` is that of ``project_gaussians``.
+
     The other arguments are those of ``project_through_lenses``.
 
     Args:

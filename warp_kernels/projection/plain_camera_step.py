@@ -86,6 +86,7 @@ def project_gaussians_adjoint(
     add_to_means: bool = False,
 ) -> None:
     """The adjoint of ``project_gaussians``: from its outputs' gradients, those not given being zero, to its inputs'.
+
     The other arguments are those of ``project_gaussians``.
 
     Args:

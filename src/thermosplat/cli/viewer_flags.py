@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 
+from thermosplat.cli.flag_values import last_value
 from thermosplat.errors import UserError
 
 LOCAL_HOST = "127.0.0.1"
@@ -37,10 +38,8 @@ def viewer_flags(argv: list[str]) -> ViewerFlags:
         UserError: The port is none.
     """
     words = with_viewer_port(argv)
-    port, host = (
-        last_value(words, _FLAG),
-        last_value(words, _HOST_FLAG) or last_value(words, _HOST_FLAG.replace("-h", "_h")),
-    )
+    port = last_value(words, _FLAG)
+    host = last_value(words, _HOST_FLAG) or last_value(words, _HOST_FLAG.replace("-h", "_h"))
     return ViewerFlags(None if port in (None, "None") else checked_port(_FLAG, int(port or 0)), host or LOCAL_HOST)
 
 
@@ -53,14 +52,3 @@ def checked_port(flag: str, port: int) -> int:
     if not 0 <= port <= LAST_PORT:
         raise UserError(f"{flag} must lie between 0 and {LAST_PORT}, found {port}.", f"Give {flag} {DEFAULT_PORT}.")
     return port
-
-
-def last_value(words: list[str], flag: str) -> str | None:
-    """The last value of a flag, given as the next word or after "="."""
-    found = None
-    for word, following in zip(words, [*words[1:], ""]):
-        if word == flag:
-            found = following
-        elif word.startswith(f"{flag}="):
-            found = word.removeprefix(f"{flag}=")
-    return found

@@ -60,6 +60,7 @@ def evaluate_refined(
     temperatures: SceneTemperatures | None = None,
 ) -> Judged:
     """Judge a model by its held-out views, whose poses are found first if training refined those of its own.
+
     The other arguments are those of ``evaluate``.
 
     Args:

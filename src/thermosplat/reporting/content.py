@@ -105,7 +105,7 @@ def _plain(one: Finding) -> dict[str, Any]:
         "maximum": one.maximum,
         "mean": one.mean,
         "reference": one.reference,
-        "area": one.region.area if one.area is None else one.area,
+        "area": one.surface,
     }
 
 
@@ -311,7 +311,7 @@ def _corrections(report: Report) -> str:
 
 
 def _area(report: Report, one: Finding) -> str:
-    return _square(report, one.region.area if one.area is None else one.area)
+    return _square(report, one.surface)
 
 
 def _square(report: Report, area: float) -> str:

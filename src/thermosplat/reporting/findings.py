@@ -76,6 +76,11 @@ class Finding:
     """Why some of its pixels should not be read, bits of ``DOUBTS``."""
 
     @property
+    def surface(self) -> float:
+        """The area, or what all views together say of it where the pixels are too few [world units²]."""
+        return self.region.area if self.area is None else self.area
+
+    @property
     def difference(self) -> float:
         """Mean minus reference."""
         return self.mean - self.reference
@@ -133,19 +138,17 @@ def find(
         usual = float(np.median(apart)) if len(apart) else 0.0
         limit = max(_TIMES_USUAL * 1.4826 * usual, least, 1e-6)
 
-    def beyond(of_each: list[Array], least: float = limit) -> list[NDArray[np.bool_]]:
+    def beyond(of_each: list[Array], times: float = 1.0) -> list[NDArray[np.bool_]]:
         far = [sign * (view.values - around) for view, around in zip(views, of_each)]
-        return [view.there & (np.nan_to_num(one, nan=-np.inf) > least) for view, one in zip(views, far)]
-
-    def regions_of(of_each: list[Array], least: float) -> list[NDArray[np.bool_]]:
-        masks = beyond(of_each, least)
-        return [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, of_each)]
+        return [view.there & (np.nan_to_num(one, nan=-np.inf) > times * limit) for view, one in zip(views, far)]
 
     search = _Search(measurer, spectrum, views, sign, limit)
     things: list[Finding] = []
     if reference is None:
         for times in _LEVELS:
-            search.add(elements.agreed(regions_of(references, times * limit)), references)
+            masks = beyond(references, times)
+            regions = [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, references)]
+            search.add(elements.agreed(regions), references)
         others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
         things = search.things(elements.agreed(beyond(others)), others)
     else:
@@ -179,7 +182,6 @@ class _Search:
         self._cell = grid_cell(views)
         self._findings: list[Finding] = []
         self._doubted: list[Region] = []
-        self.not_read = 0
 
     def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
         """Regions that may be read become findings.
@@ -196,12 +198,16 @@ class _Search:
             view, around = self._views[region.best_view], references[region.best_view]
             sure = self._sure(view)
             if must_not_be_read(sure, pixels):
-                self.not_read += 1
                 self._doubted.append(region)
                 continue
             parts = [_finding(one, view, part, around, sure) for one, part in compact_parts(region, view, pixels)]
             fresh += [one for one in parts if self.far(one) > _OF_PEAK * self._limit]
         self._findings += fresh
+
+    @property
+    def not_read(self) -> int:
+        """Regions that were left out, as they must not be read."""
+        return len(self._doubted)
 
     def found(self) -> list[Finding]:
         """What was added, the farthest from the reference first."""
@@ -229,7 +235,7 @@ class _Search:
             if len(listed) == MOST_THINGS:
                 break
             if must_not_be_read(self._sure(one.seen), one.pixels):
-                self.not_read += 1
+                self._doubted.append(one.region)
             else:
                 listed.append(one)
         return tuple(listed)

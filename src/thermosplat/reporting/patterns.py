@@ -54,5 +54,4 @@ def _joined(parts: "list[Finding]") -> "Finding":
     middle = np.average([one.region.place for one in parts], axis=0, weights=[one.region.area for one in parts])
     sides = high.max(axis=0) - low.min(axis=0)
     region = replace(largest.region, place=point_of(middle), size=point_of(sides))
-    area = sum(one.region.area if one.area is None else one.area for one in parts)
-    return replace(largest, region=region, area=area)
+    return replace(largest, region=region, area=sum(one.surface for one in parts))

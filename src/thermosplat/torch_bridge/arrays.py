@@ -94,6 +94,7 @@ def strided_view(tensor: Tensor) -> ArrayView:
 
 def given_view(gradient: Tensor, kind: Any, *shape: int) -> ArrayView:
     """A gradient that autograd brought, as ``view``, made contiguous and kept alive by the array.
+
     The other arguments are those of ``view``.
 
     Args:

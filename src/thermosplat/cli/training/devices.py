@@ -13,8 +13,8 @@ import time
 from types import FrameType
 
 from thermosplat.cli.errors import print_error
+from thermosplat.cli.flag_values import last_value
 from thermosplat.cli.host_settings import importing
-from thermosplat.cli.viewer_flags import last_value
 from thermosplat.errors import UserError
 from thermosplat.stop_signals import STOP_SIGNALS, handled_signals
 

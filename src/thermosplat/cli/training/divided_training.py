@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING
 
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.cli.errors import print_error, run_command
+from thermosplat.cli.flag_values import last_value
 from thermosplat.cli.host_settings import importing, prepare_host
 from thermosplat.cli.training.beginning import capture_and_trainer, check_capture_to_go_on_with
 from thermosplat.cli.training.devices import GRACE, PARENT
 from thermosplat.cli.training.ending import say_what_and_where
-from thermosplat.cli.viewer_flags import last_value, viewer_flags
+from thermosplat.cli.viewer_flags import viewer_flags
 from thermosplat.config.files import data_from_anywhere
 from thermosplat.distributed.lifeline import Lifeline
 from thermosplat.distributed.team import EndedElsewhere, Team

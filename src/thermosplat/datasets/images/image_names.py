@@ -131,6 +131,7 @@ class NamedImages(Generic[T]):
 
     def get(self, name: PurePosixPath, others: "NamedImages[Any]") -> T | None:
         """What is known of the image that belongs to one of another folder; None where there is none.
+
         The arguments are those of ``find``.
 
         Raises:

@@ -49,7 +49,7 @@ def asked_places(photographs: Photographs) -> list[Pose]:
 
 def spacing(poses: Sequence[Pose]) -> float:
     """Median distance of cameras from the nearest one elsewhere."""
-    apart = np.linalg.norm([[one.centre - other.centre for other in poses] for one in poses], axis=2)
+    apart = _apart(poses)
     return float(np.median(np.where(apart > 0, apart, np.inf).min(axis=1)))
 
 
@@ -109,10 +109,17 @@ def _beyond_chance(scores: Array) -> Array:
 
 def _steps(starts: Sequence[Pose]) -> Array:
     """What each step costs, [starts, starts]."""
-    apart = np.linalg.norm([[one.centre - other.centre for other in starts] for one in starts], axis=2)
+    apart = _apart(starts)
     traces = np.einsum("aij,bij->ab", *[[start.rotation for start in starts]] * 2)
     angles = np.arccos(np.clip((traces - 1) / 2, -1, 1))
     return np.minimum(_PER_SPACING * (apart / spacing(starts) + PER_RADIAN * angles), _AT_MOST)
+
+
+def _apart(poses: Sequence[Pose]) -> Array:
+    """Distances of cameras, [poses, poses]."""
+    centres = np.array([pose.centre for pose in poses])
+    distances: Array = np.linalg.norm(centres[:, None] - centres, axis=2)
+    return distances
 
 
 def _best_path(scores: Array, steps: Array) -> tuple[NDArray[np.int64], float]:

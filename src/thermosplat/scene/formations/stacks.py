@@ -114,7 +114,7 @@ class StackFormation(NetworkFormation):
 
     def graded_truth(self, image: Tensor) -> Tensor:
         """As of ``Formation``."""
-        coordinates = 2 * image[..., :-1] - 1
+        coordinates = _coordinates(image)
         return ((F.normalize(coordinates, dim=-1) if self.are_directions else coordinates) + 1) / 2
 
     def scores(self, image: Tensor, target: Tensor, mask: Tensor | None) -> Mapping[str, float]:
@@ -125,7 +125,7 @@ class StackFormation(NetworkFormation):
 
     def layer(self, layer: str, rendered: RenderedFrame) -> Tensor:
         """As of ``Formation``: the cosine of a pixel's features and the query, or a formula of bands."""
-        coordinates = 2 * rendered.images[self.name][..., :-1] - 1
+        coordinates = _coordinates(rendered.images[self.name])
         if layer == QUERY:
             asked = F.normalize(self.query, dim=0)
             return F.normalize(coordinates, dim=-1) @ (self.basis @ asked)
@@ -155,11 +155,17 @@ def squared_errors(image: Tensor, target: Tensor) -> Tensor:
 
 def cosines(image: Tensor, target: Tensor) -> Tensor:
     """Cosine of each pixel's features and the true ones, over all channels, [H, W].
+
     The arguments are those of ``squared_errors``.
     """
-    found, true = 2 * image[..., :-1] - 1, 2 * target[..., :-1] - 1
+    found, true = _coordinates(image), _coordinates(target)
     lengths = found.square().sum(dim=-1) * (true.square().sum(dim=-1) + target[..., -1].square())
     return (found * true).sum(dim=-1) * lengths.clamp(min=_LEAST).rsqrt()
+
+
+def _coordinates(image: Tensor) -> Tensor:
+    """What an image [H, W, LATENT + 1] says of each pixel's coordinates, [H, W, LATENT]."""
+    return 2 * image[..., :-1] - 1
 
 
 def _mean(values: Tensor, mask: Tensor | None) -> Tensor:

@@ -165,6 +165,7 @@ class FrameLoader:
 
     def is_ready(self, place: int, order: Callable[[int], int]) -> bool:
         """Whether ``at`` would return the frame at once; of a lost one it tells when its step comes.
+
         The arguments are those of ``at``.
         """
         if self.reading is None:

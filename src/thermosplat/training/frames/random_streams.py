@@ -23,6 +23,7 @@ def random_stream(seed: int, purpose: str, index: int = 0) -> torch.Generator:
 
 def start_stream(generator: torch.Generator, seed: int, purpose: str, index: int = 0) -> torch.Generator:
     """Let a generator, on any device, start the stream that ``random_stream`` names; each device draws its own numbers.
+
     The other arguments are those of ``random_stream``.
     """
     entropy = np.random.SeedSequence([seed, _PURPOSES.index(purpose), index])
