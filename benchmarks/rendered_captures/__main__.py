@@ -15,7 +15,7 @@ from pathlib import Path
 from thermosplat.errors import UserError
 
 _PAIRED = ("desk", "lab", "yard")
-_FLIGHTS = ("flight_a", "flight_b")
+_FLIGHTS = ("flight_a", "flight_b", "flight_c")
 
 
 def main(arguments: list[str] | None = None) -> int:

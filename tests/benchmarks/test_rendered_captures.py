@@ -72,7 +72,11 @@ def _same_as_published(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("date", "frames", "place"),
-    [(0, 104, [-31.907427986711046, -22.84673527201599, 34.20095649237177]), (1, 82, [-31.2711478359726])],
+    [
+        (0, 104, [-31.907427986711046, -22.84673527201599, 34.20095649237177]),
+        (1, 82, [-31.2711478359726]),
+        (2, 92, []),
+    ],
 )
 def test_flights_go_where_the_published_ones_went(date: int, frames: int, place: list[float]) -> None:
     """Number of frames and place of the first, of truth.json; another number of views keeps the path's shape."""
@@ -87,12 +91,14 @@ def test_flights_go_where_the_published_ones_went(date: int, frames: int, place:
 
 @pytest.mark.slow
 def test_the_block_has_the_published_anomalies() -> None:
-    """Both dates list what was wrong with the houses; the second has a repaired cell less."""
-    first, second = block(3, 0)[1], block(3, 1)[1]
-    assert [one["kind"] for one in first].count("hot cell") == 3
-    assert [one["kind"] for one in second].count("hot cell") == 2
-    leak = [next(one for one in date if one["kind"] == "leak") for date in (first, second)]
-    assert leak[1]["area_m2"] > leak[0]["area_m2"]
+    """All dates list what was wrong with the houses: a cell is repaired, a wet patch comes, the leak grows."""
+    dates = [block(3, date)[1] for date in range(3)]
+    kinds = [[one["kind"] for one in date] for date in dates]
+    assert [date.count("hot cell") for date in kinds] == [3, 2, 2]
+    assert [date.count("wet insulation") for date in kinds] == [1, 1, 2]
+    leaks = [next(one for one in date if one["kind"] == "leak") for date in dates]
+    assert [leak["area_m2"] for leak in leaks] == pytest.approx([37.12, 103.1, 183.29])
+    assert [(leak["x"], leak["y"]) for leak in leaks] == [(14.3, -8.6)] * 3
 
 
 def test_black_bodies_keep_their_temperature() -> None:

@@ -1,4 +1,4 @@
-"""A drone's flights over the block of houses: flight_a, and flight_b a week later."""
+"""A drone's flights over the block of houses: flight_a, flight_b a week later and flight_c after two."""
 
 import csv
 import json
@@ -25,7 +25,7 @@ def write_flight(date: int, variant: Variant, out: Path) -> None:
     """Render a flight's files, truth.json and truth_map.npz into a folder.
 
     Args:
-        date: 0 or 1.
+        date: 0, 1 or 2.
         variant: What differs from the published flight.
         out: The folder.
     """

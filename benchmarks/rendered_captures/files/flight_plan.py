@@ -1,7 +1,7 @@
 """Where the drone flies, what its receiver says, and what its files are called."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,33 @@ Array = NDArray[np.float64]
 Fix = tuple[float, float, float]
 """Latitude, longitude [degrees] and altitude [m]."""
 _ALTITUDE = 34.0
-_PLANNED = (104, 82)
-"""Frames of the two dates."""
-_LANDED = 101
-"""Frames after which the first date's published flight ends."""
 _ORIGIN: Fix = (47.0512, 8.3064, 452.0)
-_DAYS = ("20260612", "20260619")
 _SECONDS = 3
 """Between two frames."""
+
+
+class _Flight(NamedTuple):
+    """What a date's flight has of its own."""
+
+    day: str
+    start: int
+    """Time of the first frame [s since midnight]."""
+    planned: int
+    """Frames."""
+    strips: int
+    along: int
+    """Frames of a strip."""
+    shift: tuple[float, float] = (0, 0)
+    """Of all strips, to the east and to the north [m]."""
+    landed: int | None = None
+    """Frames after which the flight ends before its plan does."""
+
+
+_FLIGHTS = (
+    _Flight("20260612", 36000, planned=104, strips=6, along=12, landed=101),
+    _Flight("20260619", 36000, planned=82, strips=5, along=10, shift=(2.3, -1.7)),
+    _Flight("20260626", 44100, planned=92, strips=6, along=10, shift=(-1.9, 2.4)),
+)
 
 
 @dataclass(frozen=True)
@@ -41,14 +60,15 @@ class Plan:
 def flight_mount(date: int, variant: Variant) -> Plan:
     """The block on a date, the path over it and the two cameras."""
     seed = 3 if variant.seed is None else variant.seed
+    flight = _FLIGHTS[date]
     scene, anomalies = block(seed, date)
     poses = flight_poses(seed, date, variant.views)
     metered = len(poses) // 3
-    if date == 0 and variant.views is None:
-        poses = poses[:_LANDED]
-    seconds = [36000 + _SECONDS * k for k in range(len(poses))]
+    if variant.views is None:
+        poses = poses[: flight.landed]
+    seconds = [flight.start + _SECONDS * k for k in range(len(poses))]
     clock = [f"{s // 3600:02d}{s // 60 % 60:02d}{s % 60:02d}" for s in seconds]
-    names = [f"DJI_{_DAYS[date]}{time}_{k + 1:04d}" for k, time in enumerate(clock)]
+    names = [f"DJI_{flight.day}{time}_{k + 1:04d}" for k, time in enumerate(clock)]
     mount = Mount(
         scene,
         poses,
@@ -77,17 +97,16 @@ def flight_poses(seed: int, date: int, views: int | None = None) -> list[Array]:
 
     Args:
         seed: Draws the wind.
-        date: 0 or 1: fewer strips, elsewhere.
+        date: 0, 1 or 2, each along strips of its own.
         views: About how many; None: as planned.
     """
-    density = 1.0 if views is None else views / _PLANNED[date]
+    flight = _FLIGHTS[date]
+    density = 1.0 if views is None else views / flight.planned
     random, stations = np.random.default_rng([seed, date, 5]), []
-    shift = (2.3, -1.7) if date else (0, 0)
-    strips, along = (5, 10) if date else (6, 12)
-    for k, y in enumerate(np.linspace(-DEPTH / 2, DEPTH / 2, strips)):
-        xs = np.linspace(-WIDTH / 2 - 2, WIDTH / 2 + 2, _several(along, density))
+    for k, y in enumerate(np.linspace(-DEPTH / 2, DEPTH / 2, flight.strips)):
+        xs = np.linspace(-WIDTH / 2 - 2, WIDTH / 2 + 2, _several(flight.along, density))
         for x in xs if k % 2 == 0 else xs[::-1]:
-            stations.append((x + shift[0], y + shift[1], _ALTITUDE, 0 if k % 2 == 0 else 180, -88))
+            stations.append((x + flight.shift[0], y + flight.shift[1], _ALTITUDE, 0 if k % 2 == 0 else 180, -88))
     for yaw, x, y, dx, dy in (
         (90, -WIDTH / 2, -DEPTH / 2 - 24, 1, 0),
         (270, WIDTH / 2, DEPTH / 2 + 24, -1, 0),

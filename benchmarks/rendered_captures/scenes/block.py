@@ -1,4 +1,4 @@
-"""A block of six houses with streets, as a drone sees it on two dates."""
+"""A block of six houses with streets, as a drone sees it on several dates."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ import numpy as np
 from rendered_captures.materials import gloss, matte
 from rendered_captures.scene_builder import Builder
 from rendered_captures.scenes.anomalies import Anomalies
+from rendered_captures.scenes.dates import DATES, Date
 from rendered_captures.scenes.houses import Placed, add_house
 from rendered_captures.skies import sky_rgb, sky_T
 from rendered_captures.temperature_fields import hidden_heat_field, temperature_field
@@ -22,19 +23,20 @@ def block(seed: int, date: int) -> tuple[Builder, list[dict[str, Any]]]:
     """The block on a date, and what is thermally wrong on it.
 
     Args:
-        seed: Of the block; both dates of one block have the same.
-        date: 0, or 1: colder, one roof insulated, one hot cell repaired, the leak grown, cars moved.
+        seed: Of the block; all dates of one block have the same.
+        date: Number in ``DATES``.
     """
     r = np.random.default_rng([seed, 77])
-    b = Builder(r, 11.0 if date else 15.0)
+    today = DATES[date]
+    b = Builder(r, today.unset)
     b.key = 0.17
     b.env_rgb = sky_rgb(r, (0.32, 0.52, 1.0), (0.95, 1.0, 1.1), 0.7)
-    b.env_T = sky_T(-30 if date else -24, 2 if date else 6, 10)
-    b.sun = ((0.42, 0.5, -0.76), (5.0, 4.8, 4.3)) if not date else ((-0.5, 0.42, -0.75), (4.2, 4.1, 3.9))
-    base = 7.0 if date else 13.0
+    b.env_T = sky_T(*today.sky, 10)
+    b.sun = today.sun
+    base = today.air
     found = Anomalies()
 
-    leak = (0.63 + 0.02 * r.random(), 0.40, 0.030 if date else 0.018, 7.5 if date else 4.5)
+    leak = (0.63 + 0.02 * r.random(), 0.40, *today.leak)
     ground_T = hidden_heat_field(base, base + 2.6, r, "tree", n=512, width=5, blur=2.5) + temperature_field(
         0, r, 0.8, spots=[leak], n=512
     )
@@ -75,18 +77,17 @@ def block(seed: int, date: int) -> tuple[Builder, list[dict[str, Any]]]:
             temperature_field(base + 3.6, r, 0.1),
         )
     for i in range(6):
-        add_house(b, found, i, base, date)
-    _add_cars(b, base, date)
+        add_house(b, found, i, today)
+    _add_cars(b, today)
     _add_plants(b, base)
     return b, found.found
 
 
-def _add_cars(b: Builder, base: float, date: int) -> None:
-    r = b.rng
+def _add_cars(b: Builder, today: Date) -> None:
+    r, base = b.rng, today.air
     cars = [(-12.0, -4.1, 0, 14), (6.5, -0.4, 180, 2), (26, -4.0, 0, 9), (-8.6 + 1.2, 16, 90, 3)]
     for k, (x, y, rz, hot) in enumerate(cars):
-        if date:
-            x += 9 if k % 2 else -7
+        x += today.cars[k % 2]
         col = [(158, 28, 30), (230, 230, 226), (40, 60, 110), (60, 62, 66)][k]
         at = Placed(x, y, rz)
         b.box(

@@ -9,6 +9,7 @@ from rendered_captures.meshes.mesh import move
 from rendered_captures.meshes.solids import mesh_prism
 from rendered_captures.scene_builder import Builder
 from rendered_captures.scenes.anomalies import Anomalies
+from rendered_captures.scenes.dates import Date
 from rendered_captures.temperature_fields import hidden_heat_field, temperature_field
 from rendered_captures.textures.noise import mottle
 from rendered_captures.textures.prints import panel_texture
@@ -20,7 +21,7 @@ _WALLS = ((206, 190, 158), (170, 90, 66), (214, 210, 200), (186, 170, 140), (200
 _TILES = ((150, 70, 56), (108, 60, 54), (90, 92, 98), (0, 0, 0), (140, 84, 60), (72, 76, 84))
 _FLAT = 3
 _POOR = (1, 4)
-"""Houses whose rafters show through; the first is insulated before the second date."""
+"""Houses whose rafters show through until they are insulated."""
 _WITH_MODULES = (0, 2, 5)
 Place = tuple[float, float, float]
 
@@ -38,17 +39,16 @@ class Placed(NamedTuple):
         return (self.x + c * u - s * v, self.y + s * u + c * v, z)
 
 
-def add_house(b: Builder, found: Anomalies, i: int, base: float, date: int) -> None:
+def add_house(b: Builder, found: Anomalies, i: int, today: Date) -> None:
     """Walls, windows and a roof.
 
     Args:
         b: The scene.
         found: Takes what is wrong with the house.
         i: Its number, 0 to 5.
-        base: Temperature of the air [deg C].
-        date: 0 or 1.
+        today: The date.
     """
-    r = b.rng
+    r, base = b.rng, today.air
     hx, hy = _PLACES[i]
     w, d, h = 9.5 + 4 * r.random(), 7.0 + 2.5 * r.random(), 3.2 + 3 * r.random()
     rz = float(r.choice([0, 90])) if i != 3 else 0.0
@@ -85,36 +85,36 @@ def add_house(b: Builder, found: Anomalies, i: int, base: float, date: int) -> N
             about="window",
         )
     if i == _FLAT:
-        _add_flat_roof(b, found, i, at, (w, d, h), base)
+        _add_flat_roof(b, found, i, at, (w, d, h), today)
         return
     p = np.radians(28 + 10 * r.random())
-    _add_pitched_roof(b, found, i, at, (w, d, h), p, base, date)
+    _add_pitched_roof(b, found, i, at, (w, d, h), p, today)
     if i in _WITH_MODULES:
-        _add_modules(b, found, i, at, (w, d, h), p, base, date)
+        _add_modules(b, found, i, at, (w, d, h), p, today)
 
 
-def _add_flat_roof(b: Builder, found: Anomalies, i: int, at: Placed, size: Place, base: float) -> None:
+def _add_flat_roof(b: Builder, found: Anomalies, i: int, at: Placed, size: Place, today: Date) -> None:
     """A membrane over wet insulation, skylights, a hot unit."""
-    r, rz, (w, d, h) = b.rng, at.degrees, size
-    wet = (0.3, 0.6, 0.09, 2.6)
+    r, rz, (w, d, h), base = b.rng, at.degrees, size, today.air
     b.box(
         f"roof{i}",
         at(0, 0, h + 0.1),
         (w + 0.4, d + 0.4, 0.2),
         matte(mottle((150, 150, 146), 1200, 1500, r, 0.4, 14, 5, 8)),
-        temperature_field(base + 3, r, 0.5, spots=[wet], n=256),
+        temperature_field(base + 3, r, 0.5, spots=today.wet, n=256),
         rz=rz,
         disc="hidden_heat",
         about="membrane over wet insulation",
     )
-    found.note(
-        "wet insulation",
-        f"roof{i}",
-        *at((wet[0] - 0.5) * (w + 0.4), (wet[1] - 0.5) * (d + 0.4), 0)[:2],
-        np.pi * (2 * wet[2]) ** 2 * (w + 0.4) * (d + 0.4),
-        wet[3],
-        "wet insulation under the membrane",
-    )
+    for u, v, sigma, excess in today.wet:
+        found.note(
+            "wet insulation",
+            f"roof{i}",
+            *at((u - 0.5) * (w + 0.4), (v - 0.5) * (d + 0.4), 0)[:2],
+            np.pi * (2 * sigma) ** 2 * (w + 0.4) * (d + 0.4),
+            excess,
+            "wet insulation under the membrane",
+        )
     for q in range(3):
         b.box(
             f"sky{q}",
@@ -139,15 +139,13 @@ def _add_flat_roof(b: Builder, found: Anomalies, i: int, at: Placed, size: Place
     found.note("hot unit", "unit", *at(2.4, -1.5, 0)[:2], 1.76, 15, "air handling unit")
 
 
-def _add_pitched_roof(
-    b: Builder, found: Anomalies, i: int, at: Placed, size: Place, p: float, base: float, date: int
-) -> None:
+def _add_pitched_roof(b: Builder, found: Anomalies, i: int, at: Placed, size: Place, p: float, today: Date) -> None:
     """Two sides of tiles, a gable and a chimney; ``p`` is the pitch [rad]."""
-    r, rz, (w, d, h) = b.rng, at.degrees, size
+    r, rz, (w, d, h), base = b.rng, at.degrees, size, today.air
     s_len = (d / 2 + 0.35) / np.cos(p)
     zc = h + (d / 2) * np.tan(p) / 2 + 0.02
     poor = i in _POOR
-    retro = date and i == 1
+    retro = i in today.insulated
     tile = _TILES[i]
     for side in (-1, 1):
         T = hidden_heat_field(
@@ -194,11 +192,9 @@ def _add_pitched_roof(
     )
 
 
-def _add_modules(
-    b: Builder, found: Anomalies, i: int, at: Placed, size: Place, p: float, base: float, date: int
-) -> None:
+def _add_modules(b: Builder, found: Anomalies, i: int, at: Placed, size: Place, p: float, today: Date) -> None:
     """Ten photovoltaic modules on one side of the roof."""
-    r, rz, (w, d, h) = b.rng, at.degrees, size
+    r, rz, (w, d, h), base = b.rng, at.degrees, size, today.air
     side = -1 if i != 2 else 1
     k = 0
     for a in range(5):
@@ -207,7 +203,7 @@ def _add_modules(
             f = 0.30 + 0.38 * e
             v = side * (d / 2 + 0.35) * (1 - f)
             z = h + (d / 2) * np.tan(p) - abs(v) * np.tan(p) + 0.36
-            hot = (i, a, e) in ((0, 1, 1), (2, 3, 0), (5, 2, 1)) and not (date and i == 2)
+            hot = (i, a, e) in ((0, 1, 1), (2, 3, 0), (5, 2, 1)) and i not in today.repaired
             T = temperature_field(base + 12, r, 0.5, spots=[(0.7, 0.3, 0.07, 13)] if hot else (), n=64) + (
                 0 if not (i == 5 and a == 4) else 4.5
             )
