@@ -117,7 +117,12 @@ def test_a_measurement_and_a_place_over_three_dates(tmp_path: Path) -> None:
         gaussians.log_scales.data -= np.log(there.scale)
     dates = [date("march", tmp_path, model, flat, MapFrame(np.eye(3)))]
     dates += [date(name, tmp_path, other, flat, there) for name in ("june", "july")]
-    (tmp_path / "march" / "measurements").mkdir(parents=True)
+    for day, one in enumerate(dates, 1):
+        root = tmp_path / one.name
+        root.mkdir()
+        (root / "frames.csv").write_text(f"spectrum,file,time\nthermal,a.png,2026-06-0{day}T10:00:00\n")
+    dates = [dataclasses.replace(one, capture=dataclasses.replace(flat, root=tmp_path / one.name)) for one in dates]
+    (tmp_path / "march" / "measurements").mkdir()
     (tmp_path / "march" / "measurements" / "measurements.json").write_text(json.dumps(BOOK))
     compare(dates, "thermal", "rgb", tmp_path / "made", pixel=0.04, extent=(-1.8, -1.3, 1.8, 1.3))
     head, place, spot = csv.reader((tmp_path / "made" / "over_time.csv").open())
@@ -126,6 +131,11 @@ def test_a_measurement_and_a_place_over_three_dates(tmp_path: Path) -> None:
     for row in (place, spot):  # the warm square, which is as it was
         values = [float(value) for value in row[1:]]
         assert values == pytest.approx([float(celsius_at(np.array(0.6), np.array(0.7)))] * 3, abs=0.5)
+    page = (tmp_path / "made" / "index.html").read_text()
+    assert (page.count("<svg"), page.count("days since 2026-06-01 10:00")) == (2, 2)
+    assert "june 1, colder [°C]" in page
+    times = json.loads((tmp_path / "made" / "changes.json").read_text())["times"]
+    assert times == [f"2026-06-0{day}T10:00:00" for day in (1, 2, 3)]
 
 
 def _pictures(page: str) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from thermosplat.comparison.changes import SEASON, Changes, find_changes
+from thermosplat.comparison.curves import over_time_chapter, taken_at
 from thermosplat.comparison.dated_map import Date, dated_map
 from thermosplat.comparison.files import entries, symmetric, write_difference, write_page, write_tables
 from thermosplat.comparison.over_time import over_time
@@ -70,7 +71,8 @@ def compare(
         )
         name = re.sub(r"[^\w.-]+", "_", date.name)
         files += write_difference(folder, grid, (maps[0], later), found, unit, name)
-    rows = over_time(dates, maps, changes)
+    names, times = [date.name for date in dates], [taken_at(date.capture.root, spectrum) for date in dates]
+    rows = over_time(dates, maps, changes, unit_label(unit))
     content = {
         "format": f"thermosplat-{WHAT}",
         "version": VERSION,
@@ -82,10 +84,11 @@ def compare(
         "crs": grid.frame.crs,
         "pixel": grid.pixel,
         "sentences": list(sentences),
+        "times": [None if time is None else time.isoformat() for time in times],
         "dates": stated,
     }
-    write_tables(folder, content, rows, [date.name for date in dates])
-    page = write_page(folder, dates, maps, changes, content, rows)
+    write_tables(folder, content, rows, names)
+    page = write_page(folder, maps, changes, content, over_time_chapter(rows, names, times))
     return [*said, f"Look at {page}; {', '.join(map(str, files))}"]
 
 

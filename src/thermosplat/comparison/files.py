@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from thermosplat import __version__
 from thermosplat.comparison.changes import Change, Changes
-from thermosplat.comparison.dated_map import Date, DatedMap
+from thermosplat.comparison.curves import CURVES_STYLE
+from thermosplat.comparison.dated_map import DatedMap
 from thermosplat.comparison.over_time import Row
 from thermosplat.export.formats.ply_tables import write_points
 from thermosplat.export.maps.geotiff import write_geotiff
@@ -128,17 +129,13 @@ def write_tables(folder: Path, content: dict[str, Any], rows: Sequence[Row], dat
 
 
 def write_page(
-    folder: Path,
-    dates: Sequence[Date],
-    maps: Sequence[DatedMap],
-    changes: Sequence[Changes],
-    content: dict[str, Any],
-    rows: Sequence[Row],
+    folder: Path, maps: Sequence[DatedMap], changes: Sequence[Changes], content: dict[str, Any], last: str
 ) -> Path:
     """Write index.html and its pictures.
 
     Args:
         content: As of ``write_tables``.
+        last: HTML of the chapter after those of the dates.
     """
     known = np.concatenate([one.values[np.isfinite(one.values)] for one in maps])
     low, high = np.percentile(known, _SPAN).tolist() if len(known) else (0.0, 1.0)
@@ -162,19 +159,11 @@ def write_page(
             name = change_picture(later, number)
             write_png(folder / name, _both(change, maps[0], maps[later], (low, high)))
             parts.append(f'<h3>{number}, {change.kind}</h3><img src="{name}" alt="">')
-    if rows:
-        head = "".join(f"<th>{html.escape(date.name)}</th>" for date in dates)
-        lines = "".join(
-            f"<tr><td>{html.escape(row.what)}</td>"
-            + "".join(f"<td>{'-' if value is None else f'{value:.2f}'}</td>" for value in row.values)
-            + "</tr>"
-            for row in rows
-        )
-        parts.append(f"<h2>Over time</h2><table><tr><th></th>{head}</tr>{lines}</table>")
+    parts.append(last)
     page = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        f"<title>Comparison</title><style>{_STYLE}</style></head><body><h1>Comparison</h1>\n"
+        f"<title>Comparison</title><style>{_STYLE}{CURVES_STYLE}</style></head><body><h1>Comparison</h1>\n"
         + "\n".join(parts)
         + f"<p>thermosplat {html.escape(__version__)}</p></body></html>\n"
     )

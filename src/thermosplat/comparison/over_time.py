@@ -22,12 +22,22 @@ class Row:
     what: str
     values: tuple[float | None, ...]
     """Its mean at each date; None where it has none."""
+    unit: str = ""
+    """Of the values, for people; "": none."""
+
+    @property
+    def title(self) -> str:
+        """What it is, with the unit."""
+        return f"{self.what} [{self.unit}]" if self.unit else self.what
 
 
-def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence[Changes]) -> list[Row]:
+def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence[Changes], unit: str) -> list[Row]:
     """One row for each place whose temperature changed, then one for each measurement.
 
     A place that changed at several dates has one row, under its first name.
+
+    Args:
+        unit: Of the maps' values, for people.
     """
     rows, places = [], list[NDArray[np.bool_]]()
     for date, found in zip(dates[1:], changes):
@@ -36,7 +46,7 @@ def over_time(dates: Sequence[Date], maps: Sequence[DatedMap], changes: Sequence
             known = any(2 * (change.mask & one).sum() >= (change.mask | one).sum() for one in places)
             if change.kind in ("warmer", "colder") and not known:
                 means = tuple(_mean(one.values, change.mask) for one in maps)
-                rows.append(Row(f"{date.name} {number}, {change.kind}", means))
+                rows.append(Row(f"{date.name} {number}, {change.kind}", means, unit))
                 places.append(change.mask)
     return [*rows, *_measurements(dates)]
 
@@ -56,7 +66,8 @@ def _measurements(dates: Sequence[Date]) -> list[Row]:
     rows = []
     for definition in definitions:
         numbers = [measurer.measure(_moved(definition, dates[0], date)) for date, measurer in zip(dates, measurers)]
-        rows.append(Row(definition.name, tuple(None if one is None else one.mean for one in numbers)))
+        unit = next((one.unit for one in numbers if one is not None), "")
+        rows.append(Row(definition.name, tuple(None if one is None else one.mean for one in numbers), unit))
     return rows
 
 

@@ -1,12 +1,14 @@
-"""Lines over steps as SVG, for pages that open without a network."""
+"""Lines over steps or time as SVG, for pages that open without a network."""
 
 import html
+import math
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 
 from thermosplat.pictures.color_bar import tick_labels, tick_values
 
 Line = Sequence[tuple[float, float]]
-"""Points (x, y), x rising."""
+"""Points (x, y), x rising; y is NaN where the line is broken."""
 
 WIDTH, HEIGHT = 480, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 24, 44, 40
@@ -18,20 +20,22 @@ MOST_POINTS = 600
 """Of a line; a longer one is thinned out: a picture has no more pixels."""
 
 
-def line_plot(title: str, lines: Mapping[str, Line]) -> str:
+def line_plot(title: str, lines: Mapping[str, Line], *, across: str = "step", dots: bool = False) -> str:
     """A plot as an ``<svg>`` element; every text in it is escaped.
 
     Args:
         lines: By name; those without points are left out.
+        across: What x is.
+        dots: Mark each point.
 
     Returns:
         SVG; "" where no line has a point.
     """
-    shown = {name: _thinned(line) for name, line in lines.items() if line}
+    shown = {name: _thinned(line) for name, line in lines.items() if any(math.isfinite(y) for _, y in line)}
     if not shown:
         return ""
     xs = [x for line in shown.values() for x, _ in line]
-    ys = [y for line in shown.values() for _, y in line]
+    ys = [y for line in shown.values() for _, y in line if math.isfinite(y)]
     x_low, x_high = _widened(min(xs), max(xs), 0.0)
     y_low, y_high = _widened(min(ys), max(ys), 0.05)
 
@@ -52,21 +56,28 @@ def line_plot(title: str, lines: Mapping[str, Line]) -> str:
                 parts.append(f'<line class="grid" x1="{_LEFT}" y1="{y:.1f}" x2="{WIDTH - _RIGHT}" y2="{y:.1f}"/>')
                 parts.append(f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
     middle = (_LEFT + WIDTH - _RIGHT) / 2
-    parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 6}" text-anchor="middle">step</text>')
+    parts.append(f'<text x="{middle:.1f}" y="{HEIGHT - 6}" text-anchor="middle">{html.escape(across)}</text>')
     key = float(_LEFT)
     for index, (name, line) in enumerate(shown.items()):
         color = COLORS[index % len(COLORS)]
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(*point) for point in line))
-        if len(line) == 1:
-            x, y = place(*line[0])
-            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>')
-        else:
-            parts.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="1.6"/>')
+        for piece in _pieces(line):
+            places = [place(*point) for point in piece]
+            if len(piece) > 1:
+                points = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+                parts.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="1.6"/>')
+            if len(piece) == 1 or dots:
+                parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>' for x, y in places]
         if len(shown) > 1:
             parts.append(f'<text x="{key:.1f}" y="36" style="fill:{color}">{html.escape(name)}</text>')
             key += _LETTER * (len(name) + 2)
     label = html.escape(title, quote=True)
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+
+
+def _pieces(line: Line) -> list[Line]:
+    """The parts of a line between its breaks."""
+    groups = groupby(line, key=lambda point: math.isfinite(point[1]))
+    return [list(points) for finite, points in groups if finite]
 
 
 def _thinned(line: Line) -> Line:

@@ -13,22 +13,33 @@ _LONGEST = 200
 def camera_facts(root: Path, spectrum: str) -> dict[str, str]:
     """Instrument and date of a spectrum's images, by names of ``texts.FORM``; what nobody states is missing.
 
-    Where the spectrum's files state no time, as TIFFs of drones do not, the date is that of the images which were taken
-    with them.
+    Args:
+        root: The capture.
+        spectrum: The spectrum.
+    """
+    mine = [row for row in _rows(root / TABLE) if row.get("spectrum") == spectrum]
+    times = stated_times(root, spectrum)
+    cameras = dict.fromkeys(" ".join(filter(None, (row.get("make"), row.get("model")))).strip() for row in mine)
+    days = dict.fromkeys(time[:16].replace("T", " ") for time in (times[:1] + times[-1:]))
+    said = {"instrument": ", ".join(filter(None, cameras)), "date": " - ".join(days)}
+    return {name: text[:_LONGEST] for name, text in said.items() if text}
+
+
+def stated_times(root: Path, spectrum: str) -> list[str]:
+    """When a spectrum's images were taken, rising, in ISO 8601.
+
+    Where the spectrum's files state no time, as TIFFs of drones do not, the times are those of the images which were
+    taken with them.
 
     Args:
         root: The capture.
         spectrum: The spectrum.
     """
     rows = _rows(root / TABLE)
-    mine = [row for row in rows if row.get("spectrum") == spectrum]
     pairs = [pair for pair in _rows(root / PAIRS) if pair.get(spectrum)]
     partners = {name for pair in pairs for name in pair.values() if isinstance(name, str)}
-    cameras = dict.fromkeys(" ".join(filter(None, (row.get("make"), row.get("model")))).strip() for row in mine)
-    times = _times(mine) or _times([row for row in rows if row.get("file") in partners])
-    days = dict.fromkeys(time[:16].replace("T", " ") for time in (times[:1] + times[-1:]))
-    said = {"instrument": ", ".join(filter(None, cameras)), "date": " - ".join(days)}
-    return {name: text[:_LONGEST] for name, text in said.items() if text}
+    mine = [row for row in rows if row.get("spectrum") == spectrum]
+    return _times(mine) or _times([row for row in rows if row.get("file") in partners])
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

@@ -1,10 +1,12 @@
 """changes.json of a comparison: which runs it is of, how they lie in each other's frame, and what changed.
 
     {"format": "thermosplat-comparison", "version": 1, "first": "march", "run": "results/march", "spectrum": "thermal",
-     "unit": "celsius", "length_unit": "m", "dates": [{"name": "june", "run": "results/june", "shift": 2.1,
+     "unit": "celsius", "length_unit": "m", "times": ["2026-03-01T10:02:27", ...],
+     "dates": [{"name": "june", "run": "results/june", "shift": 2.1,
      "shift_plus_minus": 0.5, "span": 3.0, "to_first": [[r, r, r, t], ...], "changes": [{"kind": "warmer", ...}]}]}
 
-``to_first`` takes the scene of a later date to that of the first.
+``to_first`` takes the scene of a later date to that of the first. ``times`` are those of all dates, null where files do
+not state them.
 """
 
 import math
