@@ -4,7 +4,8 @@
     python benchmarks/bench_placing.py captures/night data/flight_a/truth.json data/flight_b/truth.json
     python benchmarks/bench_placing.py captures/lab --every-second data/rgbt_synthetic/lab
 
-The second makes captures/lab: photographs of odd frames, thermal images of even ones without a pose, and places these.
+The second makes captures/lab: photographs of odd frames, thermal images of even ones without a pose, and places these;
+captures/lab_true is the same with true thermal cameras, to be trained beside it.
 The truths (``preparation/rig_truth.py``) share one world. The error of an image is the median distance [px] between
 where the points of the photographs' model land in the found and in the true camera, of those inside the true image.
 """
@@ -91,7 +92,22 @@ def placed_every_second(capture: CaptureFolder, paired: Path) -> dict[str, float
         errors[stem] = _error(
             points, true[stem], camera, found.cam_from_world().matrix(), made.cameras[found.camera_id]
         )
+    _write_with_true_cameras(capture.root, made, true, camera)
     return errors
+
+
+def _write_with_true_cameras(
+    folder: Path, made: pycolmap.Reconstruction, true: dict[str, Array], camera: pycolmap.Camera
+) -> None:
+    """FOLDER_true: a placed capture whose thermal images have their true poses [3, 4] and their true camera."""
+    copied = folder.with_name(f"{folder.name}_true")
+    shutil.copytree(folder, copied)
+    for image in made.images.values():
+        if image.name.startswith(OTHER):
+            found = made.cameras[image.camera_id]
+            found.model, found.params = camera.model, camera.params
+            made.frames[image.frame_id].rig_from_world = pycolmap.Rigid3d(true[Path(image.name).stem])
+    made.write(copied / "sparse" / "0")
 
 
 def _error(

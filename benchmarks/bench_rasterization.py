@@ -30,6 +30,7 @@ from peers.installed import MAKERS, cuda_peers
 from peers.peer import CASES, Peer
 from peers.renderers import PEERS, cpu_peers
 from rasterization.case import one_line, run_case
+from rasterization.changing import changing_rows
 from rasterization.summary import summaries, summary_lines
 from rasterization.tables import markdown
 from scenes.benchmark_scenes import BenchmarkScene, garden_scene, huge_scene, synthetic_scene
@@ -61,6 +62,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--time-limit", type=float, default=None, help="start no case after so long [s]")
     parser.add_argument(
         "--truth-gaussians", type=int, default=1_000_000, help="compare with float64 up to so many, and up to 1920x1080"
+    )
+    parser.add_argument(
+        "--changing", action="store_true", help="in place of cases: loops whose sizes take turns, or that get Gaussians"
     )
     parser.add_argument("--no-stages", action="store_true", help="neither stages nor floors")
     parser.add_argument("--cores", type=int, nargs="+", default=None, help="CPU threads to time thermosplat with")
@@ -116,6 +120,15 @@ def print_row(row: dict[str, Any]) -> None:
     if "error" in row:
         print(f"{head} {row['error']}", flush=True)
         return
+    if "changing" in row:
+        for name, times in row["changing"].items():
+            per_call = times["ms_per_call"]
+            print(
+                f"{head} {name:<22} {row['loop']}: {per_call['median_ms']:.2f} ms a call ({per_call['p10_ms']:.2f} "
+                f"to {per_call['p90_ms']:.2f}), the first of a turn {times['first_ms']:.2f}",
+                flush=True,
+            )
+        return
     for name, times in row["forward"].items():
         both, memory, pairs = row["forward_backward"][name], row["peak_memory_mib"][name], row["intersections"][name]
         line = f"{head} {name:<22} {times['median_ms']:>9.2f} {both['median_ms']:>9.2f} {both['host_ms']:>9.2f}"
@@ -165,7 +178,7 @@ def write_report(report: dict[str, Any], json_path: Path | None, markdown_path: 
 def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], report: dict[str, Any]) -> None:
     """Fills the report's rows, case by case."""
     start_s, on_cpu = time.perf_counter(), device.type == "cpu"
-    peaks = None if options.no_stages else DevicePeaks(**report["peaks"])
+    peaks = None if options.no_stages or options.changing else DevicePeaks(**report["peaks"])
     repeats = options.repeats or (11 if on_cpu else 50)
 
     def note(row: dict[str, Any]) -> None:
@@ -192,6 +205,10 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
                     print(report["stopped"], flush=True)
                     return
                 try:
+                    if options.changing:
+                        for row in changing_rows(scene, case, (width, height), device, peers):
+                            note(row)
+                        continue
                     row = run_case(
                         scene,
                         case,
@@ -246,7 +263,7 @@ def main() -> int:
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
     if options.resume and options.json.exists():
         report["rows"] = [row for row in json.loads(options.json.read_text())["rows"] if "error" not in row]
-    if not options.no_stages:
+    if not (options.no_stages or options.changing):
         report["peaks"] = measure_peaks(device)._asdict()
         print(
             f"peaks: {report['peaks']['bytes_per_s'] / 1e9:.0f} GB/s, {report['peaks']['flops_fp32'] / 2e9:.0f} GFMA/s"
@@ -257,7 +274,7 @@ def main() -> int:
     write_report(report, options.json, options.markdown)
     for found in report["summaries"]:
         print("\n" + "\n".join(summary_lines(found)), flush=True)
-    return int(any("error" in row or row["apart"] for row in report["rows"]))
+    return int(any("error" in row or row.get("apart") for row in report["rows"]))
 
 
 if __name__ == "__main__":

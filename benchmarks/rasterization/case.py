@@ -121,7 +121,7 @@ def _checked(
     for peer in peers:
         near, seen = peer.near_plane, (peer.near_plane, peer.num_images)
         try:
-            made = _passes(peer, case, inputs, size)
+            made = passes_of(peer, case, inputs, size)
             found = made.forward_backward()
             if peer.raw is not None:
                 found = found[0], peer.raw.gradients(inputs, found[1])
@@ -150,7 +150,8 @@ def _checked(
     return passes
 
 
-def _passes(peer: Peer, case: str, inputs: Tensors, size: tuple[int, int]) -> Passes | CapturedPasses:
+def passes_of(peer: Peer, case: str, inputs: Tensors, size: tuple[int, int]) -> Passes | CapturedPasses:
+    """A peer's calls of a case, captured where the peer is."""
     if peer.raw is not None:
         inputs = peer.raw.leaves(inputs)
     eager = Passes(peer.renderer(case, inputs, *size), inputs)

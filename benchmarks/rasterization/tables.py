@@ -34,6 +34,7 @@ def markdown(report: dict[str, Any]) -> str:
         ("Peak memory [MiB] / intersections [thousands] / host time of forward+backward [ms]", _resources(rows)),
         ("Error to float64: image RMS / image maximum / worst gradient", _errors(rows)),
         ("Stages [ms], and how many times their floor", _stages(rows)),
+        ("Shapes that change, forward+backward, and the first call after a change [ms]", _changing(report["rows"])),
         ("CPU threads, thermosplat forward / forward+backward [ms]", _cores(rows)),
         ("Not measured", _failures(report["rows"])),
     ]
@@ -128,6 +129,17 @@ def _stages(rows: list[Row]) -> Iterator[str]:
         whole = row["forward_backward"][OURS]["median_ms"]
         body.append([*cells, f"{whole:.3f} ({whole / row['floor_ms']:.1f}x)"])
     yield from _table(["scene", "case", "fragments [millions]", *names, "forward+backward through autograd"], body)
+
+
+def _changing(rows: list[Row]) -> Iterator[str]:
+    rows = [row for row in rows if "changing" in row]
+    names = list(dict.fromkeys(name for row in rows for name in row["changing"]))
+    body = []
+    for row in rows:
+        found = [row["changing"].get(name) for name in names]
+        times = ["" if t is None else f"{t['ms_per_call']['median_ms']:.2f}, {t['first_ms']:.2f}" for t in found]
+        body.append([*_place(row), row["loop"], *times])
+    yield from _table(["scene", "case", "loop", *names], body)
 
 
 def _cores(rows: list[Row]) -> Iterator[str]:
