@@ -79,7 +79,7 @@ def test_stored_filter_shows_the_same(features: int) -> None:
     frame, gaussians = toy_frame(capture), model.gaussians("shared")
     with torch.no_grad():
         plain = render(model, frame).images
-        set_filter(gaussians, sampling_cameras(capture, model)["shared"])
+        set_filter(gaussians, sampling_cameras(capture, model.sets_of_spectra)["shared"])
         assert gaussians.filter_3d is not None
         gaussians.filter_3d *= 6.0  # as wide as the toy's Gaussians
         by_filter = render(model, frame).images
@@ -96,8 +96,9 @@ def test_spectra_have_the_cameras_of_their_set() -> None:
     shared = toy_config()
     for aligned, number in ((True, 1), (False, 2)):
         capture = toy_capture(aligned=aligned)
-        assert len(sampling_cameras(capture, toy_model(shared, capture))["shared"]) == number
-    found = sampling_cameras(capture, toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture))
+        assert len(sampling_cameras(capture, toy_model(shared, capture).sets_of_spectra)["shared"]) == number
+    separate = toy_model(toy_config(gaussian_sets="separate", feature_dim=0), capture)
+    found = sampling_cameras(capture, separate.sets_of_spectra)
     assert {name: [one.camera.width for one in cameras] for name, cameras in found.items()} == {
         "rgb": [24],
         "thermal": [16],

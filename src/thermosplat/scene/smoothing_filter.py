@@ -6,7 +6,7 @@ that see it: each scale becomes sqrt(scale² + s / ν²), and the opacity takes 
 that its integral over space stays as it was.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -17,7 +17,6 @@ from thermosplat.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from thermosplat.datasets.cameras import Camera
     from thermosplat.datasets.capture import Capture
-    from thermosplat.scene.model import SceneModel
 
 VARIANCE = 0.2
 """s [squared sampling intervals]. Mip-Splatting."""
@@ -36,18 +35,16 @@ class SamplingCamera(NamedTuple):
     camera: "Camera"
 
 
-def sampling_cameras(capture: "Capture", model: "SceneModel") -> dict[str, list[SamplingCamera]]:
+def sampling_cameras(capture: "Capture", set_of: Mapping[str, str]) -> dict[str, list[SamplingCamera]]:
     """The training cameras of the spectra that each set of Gaussians renders, by name of the set.
 
     Args:
         capture: Its training frames are taken, with cameras as the capture has them.
-        model: Says which set renders which spectrum.
+        set_of: By spectrum that is modelled, the name of the set that renders it.
     """
-    found: dict[str, list[SamplingCamera]] = {name: [] for name in model.gaussian_sets}
+    found: dict[str, list[SamplingCamera]] = {name: [] for name in set_of.values()}
     for frame in capture.train:
-        of_frame = {
-            (model.set_of(name), group) for group in frame.shared_cameras for name in group if name in model.spectra
-        }
+        of_frame = {(set_of[name], group) for group in frame.shared_cameras for name in group if name in set_of}
         for set_name, group in sorted(of_frame):
             view = frame.views[group[0]]
             found[set_name].append(SamplingCamera(torch.as_tensor(view.viewmat), view.camera))

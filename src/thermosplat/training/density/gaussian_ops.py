@@ -87,8 +87,9 @@ def copy_onto(gaussians: nn.Module, optimizers: Optimizers, replaced: Tensor, so
     """
     for parameter in gaussians.parameters():
         parameter[replaced] = parameter[sources]
-    if getattr(gaussians, "filter_3d", None) is not None:
-        gaussians.filter_3d[replaced] = gaussians.filter_3d[sources]
+    of_filter: Tensor | None = getattr(gaussians, "filter_3d", None)
+    if of_filter is not None:
+        of_filter[replaced] = of_filter[sources]
     clear_moments(gaussians, optimizers, torch.cat([replaced, sources]))
 
 

@@ -125,7 +125,9 @@ class SceneStage(Stage):
 
         def join() -> None:
             model = training.state.model
-            cameras = sampling_cameras(training.capture, model) if training.config.model.filter_3d else None
+            cameras = (
+                sampling_cameras(training.capture, model.sets_of_spectra) if training.config.model.filter_3d else None
+            )
             sets = joined_sets(scenes, training.config, model.formations, cameras)
             shares.extend(divided_sets(sets, team.size))
 

@@ -12,12 +12,13 @@ class SmoothingStage(Stage):
     """A filter for each set, computed anew now and then and where Gaussians were added or removed.
 
     At the end it becomes part of scales and opacities, before a budget looks at what else can go. Checkpoints on the
-    way hold Gaussians without it, from which a training goes on.
+    way hold Gaussians without it, from which a training goes on. It is of one process: ranks do not tell each other of
+    filters.
     """
 
     def __init__(self, training: Training) -> None:
         super().__init__(training)
-        self._cameras = sampling_cameras(training.capture, training.state.model)
+        self._cameras = sampling_cameras(training.capture, training.state.model.sets_of_spectra)
         self._numbers: dict[str, int] = {}
 
     def begin_scene(self) -> None:
