@@ -61,9 +61,6 @@ class ModelConfig:
     0.55 px. 3DGS and gsplat."""
     init_opacity: float = 0.1
     """Opacity of the first Gaussians. 3DGS."""
-    filter_3d: bool = False
-    """Smooth each Gaussian to what the training cameras that see it resolve (Mip-Splatting's 3D smoothing filter). At
-    the end it becomes part of scales and opacities."""
 
 
 @dataclass(frozen=True)

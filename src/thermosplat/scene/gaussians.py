@@ -104,8 +104,6 @@ class Gaussians(nn.Module):
             basis their coordinates in it, shape [N, r].
         feature_basis: Orthonormal columns B, shape [d, r]: features are f = B c where Gaussians hold coordinates c of
             fewer channels, r < d (``training.budget.feature_channels``). None: they hold f itself.
-        filter_3d: Standard deviations of the 3D smoothing filter (``scene.smoothing_filter``) [world units], shape [N];
-            None: nothing is smoothed. Checkpoints do not hold it.
         <spectrum>_sh0, <spectrum>_shN: As sh0 and shN, of a further spectrum; in a set without features.
         <spectrum>_opacity_offsets: Δ, the opacity in that spectrum is sigmoid(logit α + Δ), shape [N].
         logit_<spectrum>_opacities: Logits of the opacity in that spectrum, shape [N], in place of offsets.
@@ -116,7 +114,6 @@ class Gaussians(nn.Module):
     """
 
     feature_basis: Tensor | None
-    filter_3d: Tensor | None
 
     means: nn.Parameter
     quats: nn.Parameter
@@ -130,7 +127,6 @@ class Gaussians(nn.Module):
         super().__init__()
         basis = parameters.get("feature_basis")
         self.register_buffer("feature_basis", None if basis is None else basis.detach().clone())
-        self.register_buffer("filter_3d", None, persistent=False)
         for name, value in parameters.items():
             if name != "feature_basis":
                 setattr(self, name, nn.Parameter(value.detach().clone()))

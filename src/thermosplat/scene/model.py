@@ -112,11 +112,6 @@ class SceneModel(nn.Module):
         return spectrum if spectrum in self.gaussian_sets else SHARED
 
     @property
-    def sets_of_spectra(self) -> dict[str, str]:
-        """By spectrum, the name of the set of Gaussians that renders it."""
-        return {spectrum: self.set_of(spectrum) for spectrum in self.spectra}
-
-    @property
     def has_features(self) -> bool:
         """Whether Gaussians have latent features."""
         return self.config.feature_dim > 0

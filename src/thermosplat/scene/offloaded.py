@@ -18,7 +18,6 @@ from thermosplat.rasterizer import project
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.packed_parameters import is_band
 from thermosplat.scene.pixel_filter import PixelFilter
-from thermosplat.scene.smoothing_filter import filtered
 from thermosplat.scene.views import projection_arguments
 from thermosplat.torch_bridge.host_rows import has_padded_rows, in_host_rows, on_cpu
 
@@ -115,8 +114,6 @@ class GaussiansInView(Gaussians):
         self.indices = indices
         self.rows: dict[str, Tensor] = {}
         self.register_buffer("feature_basis", gaussians.feature_basis)
-        of_filter = gaussians.filter_3d
-        self.register_buffer("filter_3d", None if of_filter is None else of_filter[indices], persistent=False)
         self.second_opacities = gaussians.second_opacities
         for name, parameter in gaussians.named_parameters():
             if isinstance(parameter, OffloadedParameter):
@@ -142,10 +139,7 @@ def indices_in_view(gaussians: Gaussians, views: Sequence["ViewTensors"], pixel_
     opacities = gaussians.largest_opacities
     for first in range(0, len(gaussians), PROJECTED_AT_ONCE):
         part = slice(first, first + PROJECTED_AT_ONCE)
-        scales, of_filter = torch.exp(gaussians.log_scales[part]), gaussians.filter_3d
-        if of_filter is not None:  # with opacities as they are: at most too many are in view
-            scales, _ = filtered(scales, of_filter[part])
-        of_part = gaussians.means[part], gaussians.quats[part], scales, opacities[part]
+        of_part = gaussians.means[part], gaussians.quats[part], torch.exp(gaussians.log_scales[part]), opacities[part]
         for view in views:
             camera = projection_arguments(view)
             scene = project(*of_part, eps2d=pixel_filter.eps2d, **camera)

@@ -23,7 +23,6 @@ from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.scene.pixel_filter import PixelFilter
 from thermosplat.scene.rendered_frame import RenderedFrame
-from thermosplat.scene.smoothing_filter import filtered
 
 if TYPE_CHECKING:
     from thermosplat.datasets.frame_tensors import ViewTensors
@@ -222,27 +221,18 @@ def render_two_opacities(
 def _scales_and_opacities(gaussians: Gaussians, logit_opacities: Tensor) -> tuple[Tensor, Tensor]:
     """Scales [N, 3], and the opacities [N] of those logits."""
     if not activated_by_one_kernel(gaussians):
-        scales, opacities = gaussians.scales, torch.sigmoid(logit_opacities)
-    else:
-        scales, opacities, _ = activated(gaussians.log_scales, logit_opacities)
-    if gaussians.filter_3d is None:
-        return scales, opacities
-    scales, factors = filtered(scales, gaussians.filter_3d)
-    return scales, factors * opacities
+        return gaussians.scales, torch.sigmoid(logit_opacities)
+    scales, opacities, _ = activated(gaussians.log_scales, logit_opacities)
+    return scales, opacities
 
 
 def _scales_and_both_opacities(gaussians: Gaussians, second: str) -> tuple[Tensor, Tensor, Tensor]:
     """Scales [N, 3], α [N] and the opacities [N] in a spectrum."""
     if not activated_by_one_kernel(gaussians):
-        scales, opacities, second_opacities = gaussians.scales, gaussians.opacities, gaussians.opacities_in(second)
-    else:
-        stored = gaussians.log_scales, gaussians.logit_opacities, *gaussians.stored_opacity(second)
-        scales, opacities, found = activated(*stored)
-        second_opacities = opacities if found is None else found
-    if gaussians.filter_3d is None:
-        return scales, opacities, second_opacities
-    scales, factors = filtered(scales, gaussians.filter_3d)
-    return scales, factors * opacities, factors * second_opacities
+        return gaussians.scales, gaussians.opacities, gaussians.opacities_in(second)
+    stored = gaussians.log_scales, gaussians.logit_opacities, *gaussians.stored_opacity(second)
+    scales, opacities, second_opacities = activated(*stored)
+    return scales, opacities, opacities if second_opacities is None else second_opacities
 
 
 def activated_by_one_kernel(gaussians: Gaussians) -> bool:

@@ -18,7 +18,6 @@ from thermosplat.scene.formations.scene_formations import Formations
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.saved_gaussians import restored_sets
-from thermosplat.scene.smoothing_filter import SamplingCamera, opacity_factors, set_filter
 
 Scene = Mapping[str, Mapping[str, Tensor]]
 """Parameters of each set of Gaussians, packed as in a checkpoint."""
@@ -47,21 +46,9 @@ def kept_scene(model: SceneModel) -> Scene:
     return scene
 
 
-def joined_sets(
-    scenes: Sequence[Scene],
-    config: TrainConfig,
-    formations: Formations,
-    cameras: Mapping[str, Sequence[SamplingCamera]] | None = None,
-) -> dict[str, Gaussians]:
-    """What kept scenes become, by set.
-
-    Args:
-        cameras: By set those that its 3D smoothing filter is of; None: it has none.
-    """
+def joined_sets(scenes: Sequence[Scene], config: TrainConfig, formations: Formations) -> dict[str, Gaussians]:
+    """What kept scenes become, by set."""
     restored = [restored_sets(scene, config, formations) for scene in scenes]
-    for name, of_set in (cameras or {}).items():
-        for sets in restored:
-            set_filter(sets[name], of_set)
     return {name: joined([sets[name] for sets in restored]) for name in restored[0]}
 
 
@@ -74,12 +61,9 @@ def joined(scenes: Sequence[Gaussians]) -> Gaussians:
     """
     parameters = [_with_all_channels(gaussians) for gaussians in scenes]
     both = Gaussians({name: torch.cat([of_scene[name] for of_scene in parameters]) for name in parameters[0]})
-    if filters := [gaussians.filter_3d for gaussians in scenes if gaussians.filter_3d is not None]:
-        both.filter_3d = torch.cat(filters)
-    factors = opacity_factors(both)
-    others = {name: thinned_logits(both.logits_in(name), len(scenes), factors) for name in both.second_opacities}
+    others = {name: thinned_logits(both.logits_in(name), len(scenes)) for name in both.second_opacities}
     every = torch.arange(len(both), device=both.means.device)
-    both.set_opacity_logits(every, thinned_logits(both.logit_opacities, len(scenes), factors), others)
+    both.set_opacity_logits(every, thinned_logits(both.logit_opacities, len(scenes)), others)
     return both
 
 
@@ -91,17 +75,13 @@ def _with_all_channels(gaussians: Gaussians) -> dict[str, Tensor]:
     return parameters
 
 
-def thinned_logits(logits: Tensor, number: int, factors: Tensor | None = None) -> Tensor:
+def thinned_logits(logits: Tensor, number: int) -> Tensor:
     """Logits of 1 - (1 - o)^(1/number): so many Gaussians of it, one before the other, are as opaque as one of o.
 
     Args:
         logits: Those of the opacities o.
         number: How many.
-        factors: What a filter multiplies opacities by: the products become thinner, not the opacities; None: nothing.
     """
-    if factors is not None:
-        shown = (factors * logits.double().sigmoid()).clamp(max=1.0 - 1e-12)
-        return torch.logit(-torch.expm1(torch.log1p(-shown) / number) / factors, eps=1e-9).to(logits)
     # 1 - o = exp(-softplus(logit)), and its root is exp of a part of that: exact for clear and for opaque ones
     depths = softplus(logits.double(), threshold=1e9) / number
     return (depths + torch.log(-torch.expm1(-depths))).to(logits)

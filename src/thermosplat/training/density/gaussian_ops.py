@@ -87,9 +87,6 @@ def copy_onto(gaussians: nn.Module, optimizers: Optimizers, replaced: Tensor, so
     """
     for parameter in gaussians.parameters():
         parameter[replaced] = parameter[sources]
-    of_filter: Tensor | None = getattr(gaussians, "filter_3d", None)
-    if of_filter is not None:
-        of_filter[replaced] = of_filter[sources]
     clear_moments(gaussians, optimizers, torch.cat([replaced, sources]))
 
 
@@ -238,11 +235,7 @@ def _rebuild(gaussians: nn.Module, optimizers: Optimizers, rows: Tensor, num_kep
                     state[key] = _selected(state[key], rows)
                     state[key][num_kept:].zero_()
             replacements[name] = new, state
-        of_filter = getattr(gaussians, "filter_3d", None)
-        selected = None if of_filter is None else _selected(of_filter, rows)
         replace_parameters(gaussians, optimizers, replacements)
-        if selected is not None:
-            gaussians.filter_3d = selected
 
 
 @contextmanager

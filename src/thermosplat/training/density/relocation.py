@@ -11,7 +11,6 @@ from torch import Tensor
 
 from thermosplat.fused.relocation import MOST_COPIES, scale_factors, shared_opacities
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.smoothing_filter import opacity_factors
 from thermosplat.training.density.gaussian_ops import Optimizers, append_copies, clear_moments, copy_onto
 
 _EPSILON = 1e-6
@@ -52,8 +51,6 @@ def _share(gaussians: Gaussians, sources: Tensor, least: float) -> None:
     copies = (counts + 1).clamp(max=MOST_COPIES)
     logits = [gaussians.logit_opacities, *map(gaussians.logits_in, gaussians.second_opacities)]
     largest = reduce(torch.maximum, (values[chosen].double().sigmoid() for values in logits))
-    if (of_filter := opacity_factors(gaussians)) is not None:
-        largest = largest * of_filter[chosen]
     factors = scale_factors(largest.clamp(_EPSILON, 1.0 - _EPSILON), copies)
     gaussians.log_scales[chosen] += factors.log().to(gaussians.log_scales.dtype)[:, None]
     lower_opacities(gaussians, chosen, lambda o: shared_opacities(o.clamp(max=1.0 - _EPSILON), copies), least)
@@ -68,12 +65,10 @@ def lower_opacities(gaussians: Gaussians, indices: Tensor, lowered: Callable[[Te
         lowered: What becomes of opacities in [0, 1], float64, shape [n].
         least: Opacity below which none falls that was not there.
     """
-    of_filter = opacity_factors(gaussians)
-    seen = 1.0 if of_filter is None else of_filter[indices]  # it is the filtered opacities that images show
 
     def new_logits(logits: Tensor) -> Tensor:
         opacities = logits[indices].double().sigmoid()
-        return torch.logit(torch.maximum(lowered(seen * opacities) / seen, opacities.clamp(max=least)), eps=_EPSILON)
+        return torch.logit(torch.maximum(lowered(opacities), opacities.clamp(max=least)), eps=_EPSILON)
 
     others = {name: new_logits(gaussians.logits_in(name)) for name in gaussians.second_opacities}
     gaussians.set_opacity_logits(indices, new_logits(gaussians.logit_opacities), others)

@@ -9,7 +9,6 @@ from thermosplat.training.stages.density import DensityStage
 from thermosplat.training.stages.image_sizes import ImageSizes, StartingSpectra, SweptDepthsStage
 from thermosplat.training.stages.noise import NoiseStage
 from thermosplat.training.stages.scenes import Beginnings, SceneStage
-from thermosplat.training.stages.smoothing import SmoothingStage
 from thermosplat.training.step_kind import Stage
 
 
@@ -23,8 +22,6 @@ def stages_of(
     config, state = training.config, training.state
     teaches = training.scenes.may_teach(state.model)
     stages: list[Stage] = []
-    if config.model.filter_3d:
-        stages.append(SmoothingStage(training))
     if config.resolution.factors:
         stages.append(ImageSizes(training))
     if state.preliminaries.find_cameras:

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from thermosplat.config import OptimizerConfig
 from thermosplat.scene.gaussians import Gaussians
-from thermosplat.scene.smoothing_filter import sampling_cameras
 from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.training.joined_scenes import Scene, joined_sets, kept_scene, seed_of_scene, steps_of_scene
 from thermosplat.training.new_scenes import of_passes
@@ -124,11 +123,7 @@ class SceneStage(Stage):
         training, team, shares = self.training, self.training.team, list[dict[str, Gaussians]]()
 
         def join() -> None:
-            model = training.state.model
-            cameras = (
-                sampling_cameras(training.capture, model.sets_of_spectra) if training.config.model.filter_3d else None
-            )
-            sets = joined_sets(scenes, training.config, model.formations, cameras)
+            sets = joined_sets(scenes, training.config, training.state.model.formations)
             shares.extend(divided_sets(sets, team.size))
 
         team.asked_of_first(join)
