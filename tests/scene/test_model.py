@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -46,6 +47,32 @@ def test_single_views_equal_the_joint_traversal() -> None:
             expected = getattr(both, kind)[name]
             torch.testing.assert_close(getattr(alone, kind)[name], expected, atol=2e-6, rtol=1e-5)
             torch.testing.assert_close(getattr(apart, kind)[name], expected, atol=2e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("padding", [0.0, 0.1])
+@pytest.mark.parametrize("branches", ["joined", "separate"])
+@pytest.mark.parametrize("kind", ["scalar", "color"])
+def test_images_at_an_end_of_their_range_are_what_the_decoder_starts_with(
+    kind: str, branches: str, padding: float
+) -> None:
+    """Of thermal images that are nearly black a decoder makes their mean where features are 0; of grey ones, grey."""
+    capture = toy_capture(thermal_kind=kind)
+    (frame,) = capture.train
+    image = frame.views["thermal"].image
+    black = dataclasses.replace(frame.views["thermal"], image=np.full_like(image, 0.02 if kind == "scalar" else 5))
+    dark = dataclasses.replace(capture, train=(dataclasses.replace(frame, views={**frame.views, "thermal": black}),))
+    decoder = {"branches": branches, "modulation": branches == "joined", "padding": padding}
+    grey, made = (toy_model(toy_config(decoder=decoder), one) for one in (capture, dark))
+    networks = made.formations.decoder
+    last = networks.last_layer("thermal")
+    mean = float(black.image.mean()) / (1.0 if kind == "scalar" else 255.0)
+    shown = (1.0 + 2.0 * padding) * torch.sigmoid(last.bias) - padding
+    torch.testing.assert_close(shown, torch.full_like(shown, mean), rtol=1e-4, atol=0.0)
+    others = grey.state_dict()
+    changed = [name for name, value in made.state_dict().items() if not torch.equal(value, others[name])]
+    assert len(changed) == 1
+    assert changed[0].endswith("bias")
+    assert changed[0].startswith("formations.decoder")
 
 
 @pytest.mark.parametrize("branches", ["joined", "separate"])

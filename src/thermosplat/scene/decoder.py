@@ -49,6 +49,19 @@ class Decoder(nn.Module):
         """
         raise NotImplementedError
 
+    def start_at(self, spectrum: str, values: Tensor) -> None:
+        """Let the decoded image of a spectrum begin near given values.
+
+        Args:
+            values: In (0, 1), by channel, shape [channels].
+        """
+        with torch.no_grad():
+            self.last_layer(spectrum).bias.copy_(torch.logit(values))
+
+    def last_layer(self, spectrum: str) -> nn.Linear:
+        """The linear layer before a spectrum's sigmoid."""
+        raise NotImplementedError
+
 
 def with_fourier_features(features: Tensor, frequency: float) -> Tensor:
     """Features f with sin(ω f) and cos(ω f) behind them.
@@ -145,6 +158,10 @@ class Decoders(Decoder):
             encoded = F.linear(h_p, w_gamma, b_gamma) * encoded + F.linear(h_p, w_beta, b_beta)
         return torch.sigmoid(head(encoded))
 
+    def last_layer(self, spectrum: str) -> nn.Linear:
+        """As of ``Decoder``."""
+        return cast("nn.Linear", self.heads[spectrum])
+
 
 def _identity_modulation(hidden: int) -> nn.Linear:
     """A linear map h_p -> [γ, β] whose output is γ = 1, β = 0 until it is trained."""
@@ -181,6 +198,10 @@ class SpectrumDecoders(Decoder):
     def image(self, spectrum: str, features: Tensor) -> Tensor:
         """As of ``Decoder``."""
         return torch.sigmoid(self.networks[spectrum](features))
+
+    def last_layer(self, spectrum: str) -> nn.Linear:
+        """As of ``Decoder``."""
+        return cast("nn.Linear", cast("nn.Sequential", self.networks[spectrum])[-1])
 
 
 def _network(config: DecoderConfig, input_dim: int, output_dim: int) -> nn.Sequential:

@@ -284,7 +284,8 @@ class SceneModel(nn.Module):
             torch.manual_seed(config.seed)
             formations = Formations(config.model, config.decoder, spectra)
         for name in config.modelled:
-            formations[name].begin(capture.scales[name])
+            views = [frame.views[name] for frame in capture.train if name in frame.views]
+            formations[name].begin(capture.scales[name], views)
         model = cls(
             config.model,
             formations,

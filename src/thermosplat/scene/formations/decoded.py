@@ -1,13 +1,14 @@
 """Images that networks decode of blended features, pixel by pixel: ThermoSplat's (docs/method.md, equations 3 to 8)."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from thermosplat.config import ModelConfig
+from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.fused.covered_images import warp_covered
 from thermosplat.scene.decoder import with_fourier_features
 from thermosplat.scene.formations.formation import Blended, Common, Formation
@@ -15,9 +16,18 @@ from thermosplat.scene.gaussians import SH_C0, Gaussians
 from thermosplat.scene.point_spread import PointSpread
 from thermosplat.scene.view_directions import view_directions
 from thermosplat.spectra import Spectrum
+from thermosplat.thermal.radiometry import PixelScale
 
 if TYPE_CHECKING:
-    from thermosplat.datasets.frame_tensors import ViewTensors
+    from thermosplat.datasets.capture import View
+
+EDGE = 0.05
+"""Mean values nearer to an end of the range are far from grey. Thermal images of the captures here have means of 0.10
+to 0.49; with a lamp that stretches their range 0.01. Open choice."""
+LEAST = 1e-3
+"""A decoder starts this far from the ends of the range, where sigmoid has no slope. Open choice."""
+LOOKED_AT = 16
+"""Images of which the mean is taken, at most."""
 
 
 class DecodedFormation(Formation):
@@ -47,6 +57,20 @@ class DecodedFormation(Formation):
         """As of ``Formation``: there are features."""
         return model.feature_dim > 0
 
+    def begin(self, scale: PixelScale, views: "Sequence[View]") -> None:
+        """As of ``Formation``: where images lie at an end of their range, their mean is what the decoder starts with.
+
+        One that starts grey has to move all pixels first. Adam moves the layers before the last along, until SiLU gives
+        0 everywhere, and the image stays one colour (benchmarks/records/real-captures.md#situations).
+        """
+        if self.is_sum or self.common.decoder is None or not views:
+            return
+        seen = (view_tensors(view, None, "cpu").image for view in views[:: -(-len(views) // LOOKED_AT)])
+        mean = torch.stack([self._there(image).mean(dim=(0, 1)) for image in seen]).mean(dim=0)
+        if bool(((mean < EDGE) | (mean > 1.0 - EDGE)).all()):
+            padding = self.settings.padding
+            self.common.decoder.start_at(self.name, (mean.clamp(LEAST, 1.0 - LEAST) + padding) / (1.0 + 2.0 * padding))
+
     def through_optics(self, blended: Blended) -> Blended:
         """As of ``Formation``: blurred, unless it is a map, which no camera takes."""
         spread, view = self.point_spread, blended.view
@@ -56,7 +80,7 @@ class DecodedFormation(Formation):
         colors = None if blended.colors is None else spread(blended.colors)
         return dataclasses.replace(blended, features=features, colors=colors)
 
-    def decoder_input(self, features: Tensor | None, view: "ViewTensors | None") -> Tensor | None:
+    def decoder_input(self, features: Tensor | None, view: ViewTensors | None) -> Tensor | None:
         """As of ``Formation``: features, waves of them and viewing directions, as ``decoder`` asks for."""
         if features is None:
             return None
@@ -93,7 +117,7 @@ class DecodedFormation(Formation):
             raise ValueError(f"{self.name} is decoded of features, and there are none.")
         return decoded
 
-    def pixels_of_features(self, features: Tensor, alpha: Tensor, view: "ViewTensors", every: int) -> Tensor:
+    def pixels_of_features(self, features: Tensor, alpha: Tensor, view: ViewTensors, every: int) -> Tensor:
         """As of ``Formation``: the decoded part, before its range is widened."""
         inputs, decoder = self._there(self.decoder_input(features, view)), self.common.decoder
         decoded = self._there(None if decoder is None else decoder.image(self.name, inputs.flatten(0, 1)[::every]))

@@ -6,7 +6,7 @@ makes of it, the image, its losses, and what files and viewers may show in its p
 The scene, its training, exports and viewers ask these methods and never which kind it is.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,6 +22,7 @@ from thermosplat.spectra import Spectrum, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
 
 if TYPE_CHECKING:
+    from thermosplat.datasets.capture import View
     from thermosplat.datasets.frame_tensors import ViewTensors
 
 
@@ -117,11 +118,12 @@ class Formation(nn.Module):
 
     # ---- before anything is blended ----------------------------------------------------------------------------------
 
-    def begin(self, scale: PixelScale) -> None:
+    def begin(self, scale: PixelScale, views: "Sequence[View]") -> None:
         """Take over what the capture says of the spectrum's images, before training.
 
         Args:
             scale: What its pixels mean.
+            views: Those that are trained on, of the spectrum.
         """
 
     def initial(self, points: PointColors, *, is_first: bool) -> dict[str, Tensor]:

@@ -5,7 +5,7 @@ network makes coordinates of what is blended. Errors of all channels come of the
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -24,6 +24,7 @@ from thermosplat.spectra import LATENT, STACKS, Spectrum, SpectrumConfig
 from thermosplat.thermal.radiometry import PixelScale
 
 if TYPE_CHECKING:
+    from thermosplat.datasets.capture import View
     from thermosplat.datasets.frame_tensors import ViewTensors
 
 QUERY = "query"
@@ -63,7 +64,7 @@ class StackFormation(NetworkFormation):
         """Whether lengths do not count."""
         return self.spectrum.settings.source == "features"
 
-    def begin(self, scale: PixelScale) -> None:
+    def begin(self, scale: PixelScale, views: "Sequence[View]") -> None:
         """As of ``Formation``: the basis of the capture's files."""
         if scale.basis is not None:
             self.basis.copy_(torch.from_numpy(scale.basis))
