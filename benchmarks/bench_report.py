@@ -111,7 +111,8 @@ def main() -> None:
     arguments = parser.parse_args()
     for run in arguments.runs:
         scene, _, _ = open_scene(run, data=arguments.data, device=arguments.device)
-        assert scene.capture is not None
+        if scene.capture is None:
+            parser.error(f"The capture of {run} is not where the run found it: --data says where it lies now.")
         measurer = Measurer(LayerRenderer(scene))
         spectrum, start = measurer.measured_spectrum(), time.monotonic()
         found = find(measurer, spectrum, limit=arguments.delta, least=LEAST_DEGREES)
