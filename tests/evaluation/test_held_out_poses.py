@@ -46,6 +46,17 @@ def test_the_pose_is_found(known: tuple[SceneModel, Capture, TrainConfig]) -> No
     assert all(parameter.requires_grad and parameter.grad is None for parameter in model.parameters())
 
 
+def test_a_photograph_among_placed_images_stays(known: tuple[SceneModel, Capture, TrainConfig]) -> None:
+    """Thermal images alone find their poses where those that were placed are refined."""
+    model, capture, config = known
+    config = dataclasses.replace(config, refine=("placed",))
+    assert held_out_motions(model, capture, config, sh_degree=1, device="cpu") == {}
+    frame = capture.test[0]
+    alone = dataclasses.replace(frame, name="alone", views={"thermal": frame.views["thermal"]})
+    capture = dataclasses.replace(capture, test=(frame, alone))
+    assert held_out_motions(model, capture, config, sh_degree=1, device="cpu").keys() == {"alone"}
+
+
 def test_both_numbers_are_reported(known: tuple[SceneModel, Capture, TrainConfig], tmp_path: Path) -> None:
     """Numbers, table and pictures are of the poses found; the capture's own poses stand beside them."""
     model, capture, config = known

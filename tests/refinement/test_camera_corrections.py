@@ -49,6 +49,23 @@ def test_poses_move_single_frames(capture: Capture) -> None:
     torch.testing.assert_close(shift.float(), 0.75 * MOTION[3:], atol=1e-5, rtol=1e-3)
 
 
+def test_placed_frames_move_alone(capture: Capture) -> None:
+    """A frame without a photograph moves, and by all it is said to: no mean is taken off. The others stay."""
+    placed = dataclasses.replace(capture.train[1], views={"thermal": capture.train[1].views["thermal"]})
+    capture = dataclasses.replace(capture, train=(capture.train[0], placed, *capture.train[2:]))
+    corrections = corrections_of(capture, "placed")
+    assert corrections.pose_basis.flatten(1).any(dim=1).tolist() == [False, True, False, False]
+    assert list(corrections.learnt()) == ["poses"]
+    set_pose(corrections, 1, MOTION)
+    torch.testing.assert_close(corrections.pose_motions()[1], MOTION, atol=1e-5, rtol=1e-4)
+    for index in (0, 2, 3):
+        frame = tensors_of(capture, index)
+        for name, view in corrections(frame).views.items():
+            assert torch.equal(view.viewmat, frame.views[name].viewmat)
+    frame = tensors_of(capture, 1)
+    assert not torch.equal(corrections(frame).views["thermal"].viewmat, frame.views["thermal"].viewmat)
+
+
 def test_what_all_poses_have_in_common_moves_nothing(capture: Capture) -> None:
     """The scene stays where the capture has it."""
     corrections = corrections_of(capture, "poses")

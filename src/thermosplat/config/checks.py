@@ -172,7 +172,7 @@ def check_text(value: object, what: str) -> None:
 
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:
     """Passes that find cameras must be long enough for a round."""
-    between_cameras = [kind for kind in config.refine if kind != "poses"]
+    between_cameras = [kind for kind in config.refine if kind not in ("poses", "placed")]
     steps = min(config.refine_first, scaled_steps(config.max_steps, config.steps_scaler))
     begin = config.refine_rounds_from + config.refine_every
     if not between_cameras or len(config.modelled) < 2 or not 0 < steps < begin:

@@ -11,7 +11,7 @@ from typing import Literal
 
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
-Refined = Literal["poses", "rig", "intrinsics", "distortion"]
+Refined = Literal["poses", "placed", "rig", "intrinsics", "distortion"]
 LensUse = Literal["undistort", "direct"]
 ImageSize = Literal["auto"] | int
 Steps = int | float
@@ -302,11 +302,12 @@ class TrainConfig:
     overwrite: bool = False
     """Delete what an earlier run left in the result folder."""
     refine: tuple[Refined, ...] = ()
-    """What of the cameras is corrected while training: the "poses" of the frames; the "rig", how the cameras of the
-    spectra stand to the first one; "intrinsics", the focal lengths of these cameras, or of the only spectrum's;
-    "distortion", what undistorting the images has left, or with --lens direct the lens itself. Held-out frames take
-    over what all have in common; their poses are found on the finished scene. "intrinsics" goes with --lens direct:
-    images that were undistorted with a wrong focal length stay wrong towards the corners."""
+    """What of the cameras is corrected while training: the "poses" of the frames; "placed", those of the frames alone
+    that have no image of the first spectrum; the "rig", how the cameras of the spectra stand to the first one;
+    "intrinsics", the focal lengths of these cameras, or of the only spectrum's; "distortion", what undistorting the
+    images has left, or with --lens direct the lens itself. Held-out frames take over what all have in common; their
+    poses are found on the finished scene. "intrinsics" goes with --lens direct: images that were undistorted with a
+    wrong focal length stay wrong towards the corners."""
     refine_from: Steps = 0.01667
     """Steps, or share of the run, before poses, and the first spectrum's camera, are corrected: as long as there is no
     scene, images say little of them. Open choice."""

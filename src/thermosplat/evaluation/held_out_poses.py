@@ -22,7 +22,7 @@ from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
 from thermosplat.datasets.read_ahead import read_ahead
 from thermosplat.evaluation.held_out import Lpips, evaluate
 from thermosplat.losses.image_terms import compare_frame
-from thermosplat.refinement.camera_corrections import POSES, frame_center, pose_basis
+from thermosplat.refinement.camera_corrections import OF_FRAMES, frame_center, frame_moves, pose_basis
 from thermosplat.refinement.camera_motion import moved_frame
 from thermosplat.refinement.corrected_capture import with_moved_frames
 from thermosplat.scene.model import SceneModel
@@ -68,7 +68,7 @@ def evaluate_refined(
         config: The run's; what it refines, and the weights of the image losses.
     """
     how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "lpips": lpips, "temperatures": temperatures}
-    if POSES not in config.refine:
+    if OF_FRAMES.isdisjoint(config.refine):
         return Judged(evaluate(model, capture, **how, strips_dir=strips_dir, csv_path=csv_path), capture)
     unrefined = evaluate(model, capture, **how)
     motions = held_out_motions(model, capture, config, sh_degree=sh_degree, device=device)
@@ -114,7 +114,7 @@ def held_out_motions(
     with _frozen(model):
         for frame in read_ahead(capture.test):
             tensors = frame_tensors(frame, capture.scales, device).only(tuple(model.spectra))
-            if tensors.views:
+            if tensors.views and frame_moves(config.refine, frame, tuple(model.spectra)):
                 center = frame_center(frame).float().to(device)
                 basis = pose_basis(frame, capture.points, capture.scene_extent).to(device)
                 found[frame.name] = _best_motion(model, tensors, center, basis, config, sh_degree, capture.scene_extent)

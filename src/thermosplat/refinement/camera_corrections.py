@@ -1,9 +1,11 @@
 """What is wrong with a capture's cameras, learnt from its images.
 
-Four things may be corrected (``--refine``), each from zero:
+Five things may be corrected (``--refine``), each from zero:
 
 - poses: every frame moves as a whole about the centre of its first camera. The mean over all frames is taken off, so
   that the scene stays where it is.
+- placed: frames without an image of the first spectrum, which were placed among its images, move in the same way. The
+  other frames stay and hold the scene.
 - rig: every camera of a spectrum beyond the first moves in its own axes, the same way in all frames.
 - intrinsics: one factor per camera on its focal lengths. Where there are several spectra, the cameras of the first keep
   theirs, which were found with the poses from points that many images share. A longer focal length and a smaller scene
@@ -36,6 +38,9 @@ from thermosplat.refinement.camera_motion import moved_camera, moved_frame, with
 from thermosplat.refinement.preconditioning import normal_matrix, points_in_view, preconditioner
 
 POSES: Refined = "poses"
+PLACED: Refined = "placed"
+OF_FRAMES = frozenset({POSES, PLACED})
+"""What each frame has of its own."""
 RIG: Refined = "rig"
 INTRINSICS: Refined = "intrinsics"
 DISTORTION: Refined = "distortion"
@@ -126,14 +131,14 @@ class CameraCorrections(nn.Module):
 
     def learnt(self) -> dict[str, nn.Parameter]:
         """The parameters that gradients reach, by the name of their learning rate."""
-        learnt = {"poses": self.poses} if POSES in self.refined else {}
+        learnt = {"poses": self.poses} if self.refined & OF_FRAMES else {}
         by_gradient = any(free and number not in self.registered for number, free in enumerate(self._free))
         return learnt | ({"cameras": self.cameras} if by_gradient else {})
 
     def pose_motions(self) -> Tensor:
-        """(r, t) of every frame, shape [F, 6]; their mean is zero."""
+        """(r, t) of every frame, shape [F, 6]; their mean is zero where all of them move."""
         motions = (self.pose_basis @ self.poses[:, :, None])[:, :, 0]
-        return motions - motions.mean(dim=0)
+        return motions - motions.mean(dim=0) if POSES in self.refined else motions
 
     def camera_corrections(self) -> Tensor:
         """θ of every camera, shape [L, 9]."""
@@ -175,11 +180,11 @@ class CameraCorrections(nn.Module):
         for name, view in frame.views.items():
             number = self._cameras_of[self.spectra.index(name)].index_select(0, index)
             views[name] = self._corrected(name, view, corrections.index_select(0, number).squeeze(0))
-        if POSES in self.refined:
+        if self.refined & OF_FRAMES:
             motion = self.pose_motions().index_select(0, index).squeeze(0)
             center = self._centers.index_select(0, index).squeeze(0)
             views = moved_frame(views, motion, center, self.scene_extent)
-        groups = frame.shared_cameras if self.refined <= {POSES} else tuple((name,) for name in frame.views)
+        groups = frame.shared_cameras if self.refined <= OF_FRAMES else tuple((name,) for name in frame.views)
         return replace(frame, views=views, shared_cameras=groups)
 
     def of_camera(self, spectrum: str, view: ViewTensors, camera: Camera) -> ViewTensors:
@@ -207,16 +212,18 @@ class CameraCorrections(nn.Module):
         return view
 
     def _pose_bases(self, frames: Sequence[Frame], points: NDArray[np.float32]) -> Tensor:
-        """P of every frame's pose, shape [F, 6, 6]."""
-        if POSES not in self.refined:
-            return torch.zeros(len(frames), 6, 6)
-        return torch.stack([pose_basis(frame, points, self.scene_extent) for frame in frames])
+        """P of every frame's pose, shape [F, 6, 6]; zero where a frame stays."""
+        bases = torch.zeros(len(frames), 6, 6)
+        for place, frame in enumerate(frames):
+            if frame_moves(self.refined, frame, self.spectra):
+                bases[place] = pose_basis(frame, points, self.scene_extent)
+        return bases
 
     def _camera_bases(self, frames: Sequence[Frame], points: NDArray[np.float32]) -> Tensor:
         """P of every camera, shape [L, 9, 9]; zero where nothing is refined."""
         bases = torch.zeros(len(self.shared), SIZE, SIZE)
         known = torch.from_numpy(points).double()
-        for place, shared in enumerate(self.shared if self.refined - {POSES} else ()):
+        for place, shared in enumerate(self.shared if self.refined - OF_FRAMES else ()):
             name = shared.spectrum
             taken = [f.views[name] for f in frames if name in f.views and f.views[name].camera == shared.camera]
             views = [camera_tensors(shown) for shown in taken[:: -(-len(taken) // LOOKED_AT)]]
@@ -228,6 +235,15 @@ class CameraCorrections(nn.Module):
             ]
             bases[place] = preconditioner(torch.stack(normals).mean(dim=0)).float()
         return bases
+
+
+def frame_moves(refined: Collection[Refined], frame: Frame, spectra: Sequence[str]) -> bool:
+    """Whether a frame has a pose of its own that is corrected.
+
+    Args:
+        spectra: Names of the modelled spectra; the first one leads.
+    """
+    return POSES in refined or (PLACED in refined and spectra[0] not in frame.views)
 
 
 def pose_basis(frame: Frame, points: NDArray[np.float32], scene_extent: float) -> Tensor:

@@ -17,6 +17,7 @@ from thermosplat.refinement.camera_corrections import (
     FOCAL,
     INTRINSICS,
     MOTION,
+    OF_FRAMES,
     POSES,
     RIG,
     CameraCorrections,
@@ -33,13 +34,14 @@ def correction_summary(corrections: CameraCorrections) -> dict[str, Any]:
     """How far the cameras moved.
 
     Returns:
-        Of what was refined: "poses", the medians over the frames; "rig", "focal_factors" and "distortion" by spectrum,
-        each a list of its cameras. Angles in degrees, distances in world units.
+        Of what was refined: "poses", the medians over the frames that move; "rig", "focal_factors" and "distortion" by
+        spectrum, each a list of its cameras. Angles in degrees, distances in world units.
     """
     summary: dict[str, Any] = {}
     extent = corrections.scene_extent * corrections.unit
-    if POSES in corrections.refined:
-        moved = corrections.pose_motions().detach().cpu().double().numpy()
+    moves = corrections.pose_basis.flatten(1).any(dim=1)
+    if corrections.refined & OF_FRAMES and bool(moves.any()):
+        moved = corrections.pose_motions()[moves].detach().cpu().double().numpy()
         summary[POSES] = {
             "median_degrees": float(np.median(_degrees(moved[:, :3]))),
             "median_distance": float(np.median(np.linalg.norm(moved[:, 3:], axis=1)) * extent),

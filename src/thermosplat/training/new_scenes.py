@@ -5,7 +5,7 @@ from dataclasses import replace
 from thermosplat.config import ModelConfig, ResolutionConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.distributed.team import Team
-from thermosplat.refinement.camera_corrections import POSES
+from thermosplat.refinement.camera_corrections import OF_FRAMES
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import offload
@@ -18,7 +18,7 @@ _FASTER = ("means_lr", "means_lr_final", "quats_lr", "scales_lr", "sh0_lr", "shN
 
 def finds_cameras(config: TrainConfig) -> bool:
     """Whether passes come first that find the cameras of the other spectra."""
-    return len(config.modelled) > 1 and not set(config.refine) <= {POSES} and config.refine_first > 0
+    return len(config.modelled) > 1 and not set(config.refine) <= OF_FRAMES and config.refine_first > 0
 
 
 def of_passes(config: TrainConfig) -> TrainConfig:

@@ -11,7 +11,7 @@ import torch
 from thermosplat.config.run_schedule import adam_betas
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.refinement.camera_corrections import POSES
+from thermosplat.refinement.camera_corrections import OF_FRAMES
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.training.frames.train_frames import SpectrumSchedule, TrainFrames
@@ -105,7 +105,7 @@ class Steps:
         """The groups in which a rank renders a frame, as every rank finds them."""
         state = self.step.state
         names = [name for name in state.model.spectra if name in shown and name in frame.views]
-        corrected = state.corrections is not None and not state.corrections.refined <= {POSES}
+        corrected = state.corrections is not None and not state.corrections.refined <= OF_FRAMES
         if corrected or state.separates_spectra or SHARED not in state.gaussian_sets:
             return [(name,) for name in names]
         groups = (tuple(name for name in names if name in group) for group in frame.shared_cameras)

@@ -85,6 +85,15 @@ def test_before_pairing(capture: CaptureFolder) -> None:
         check(CaptureFolder(capture.root / "none"))
 
 
+def test_placed_images_are_refined(capture: CaptureFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing is paired, training corrects the poses of thermal images."""
+    capture.write_pairs([])
+    monkeypatch.setattr(module, "is_posed", lambda _: True)
+    monkeypatch.setattr(module, "read_findings", lambda _: [])
+    assert any("of another hour" in said for said in check(capture).sentences)
+    assert yaml.safe_load(capture.train_yaml.read_text()) == {"refine": ["placed"]}
+
+
 def test_a_folder_full_of_trouble(tmp_path: Path) -> None:
     """A closed shutter and plain photographs are named."""
     for number in range(1, 7):

@@ -162,6 +162,9 @@ def _counts(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Finding]:
             found.append(Finding("fact", f"{counted(len(pairs), 'pair')}."))
         elif not capture.pairs_csv.exists():
             found.append(Finding("warning", f"No pairs yet: thermosplat-prepare pair {capture.root}"))
+        elif is_posed(capture.root):
+            sentence = "Thermal images of another hour: training corrects their poses, as train.yaml recommends."
+            found.append(Finding("fact", sentence, {"refine": ["placed"]}))
         if 0 < len(pairs) < _FEW_PAIRS:
             found.append(
                 Finding("warning", f"{counted(len(pairs), 'pair is', 'pairs are')} few; take {2 * _FEW_PAIRS} or more.")
