@@ -60,8 +60,8 @@ class DecodedFormation(Formation):
     def begin(self, scale: PixelScale, views: "Sequence[View]") -> None:
         """As of ``Formation``: where images lie at an end of their range, their mean is what the decoder starts with.
 
-        One that starts grey darkens all pixels first, and may go on to where sigmoid has no slope: the image stays black
-        for good (benchmarks/records/real-captures.md#situations).
+        One that starts grey darkens all pixels first, and may go on to where sigmoid has no slope: the image then stays
+        black (benchmarks/records/real-captures.md#situations).
         """
         if self.is_sum or self.common.decoder is None or not views:
             return
