@@ -103,24 +103,26 @@ def rows_of(run: str, pixels: Pixels) -> list[dict[str, Any]]:
 
 def _known(capture: Capture, spectrum: str, scene: str | None) -> Callable[[Frame], tuple[Array, Array]]:
     """Of a frame: labels, and how many training images show a pixel's point (-1: nobody knows), each [H, W]."""
-    if scene is not None:
-        from rendered_captures.rendering.start import start
+    if scene is None:
 
-        start("llvm_ad_rgb")
-        from rendered_captures.true_surfaces import TrueSurfaces
+        def of_files(frame: Frame) -> tuple[Array, Array]:
+            camera, truth = frame.views[spectrum].camera, read_ground_truth(capture, frame)
+            label = np.zeros((camera.height, camera.width), int) if truth is None else truth.label
+            return label, np.full(label.shape, -1)
 
-        true = TrueSurfaces(scene, capture, spectrum)
+        return of_files
+    from rendered_captures.rendering.start import start
 
-    def known(frame: Frame) -> tuple[Array, Array]:
-        if scene is not None:
-            view = view_tensors(frame.views[spectrum], None, "cpu")
-            return true.labels(view), true.seen(view)
-        camera = frame.views[spectrum].camera
-        truth = read_ground_truth(capture, frame)
-        label = np.zeros((camera.height, camera.width), int) if truth is None else truth.label
-        return label, np.full(label.shape, -1)
+    start("llvm_ad_rgb")
+    from rendered_captures.true_surfaces import TrueSurfaces
 
-    return known
+    true = TrueSurfaces(scene, capture, spectrum)
+
+    def of_scene(frame: Frame) -> tuple[Array, Array]:
+        view = view_tensors(frame.views[spectrum], None, "cpu")
+        return true.labels(view), true.seen(view)
+
+    return of_scene
 
 
 def main() -> None:
@@ -128,7 +130,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", help="result folders")
     parser.add_argument("--data", help="where the capture lies now")
-    parser.add_argument("--scene", help="what the capture was rendered from: rig_desk, flight_a, flight_b, flight_c")
+    scenes = ("rig_desk", "flight_a", "flight_b", "flight_c")
+    parser.add_argument("--scene", choices=scenes, help="what the capture was rendered from")
     parser.add_argument("--data-factor", type=int, help="judge images that are so many times smaller")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

@@ -31,6 +31,7 @@ from measuring.kernel_profile import StepProfile, profiled_step
 from measuring.peak_allocations import peak_of, peak_table, reserved_by_pool, start_noting, stop_noting
 from measuring.profile_tables import profile_tables
 from measuring.ranks import on_ranks
+from measuring.timing import wait
 from thermosplat.config import DensificationConfig, TrainConfig
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture, Frame, View
@@ -183,12 +184,6 @@ def peak_tables(trainer: Trainer, device: torch.device) -> list[str]:
     ]
     stop_noting()
     return tables
-
-
-def wait(device: torch.device) -> None:
-    """Let a device finish its work."""
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
 
 
 def row(options: argparse.Namespace, count: int, ranks: int) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from typing import Any
 
 import torch
 
+from measuring.timing import wait
 from scenes.panorama import panorama_capture, panorama_values
 from thermosplat.cli.arguments import parse_train_arguments
 from thermosplat.config import DensificationConfig
@@ -43,7 +44,7 @@ from thermosplat.torch_bridge.host_rows import row_length
 from thermosplat.training.density.gaussian_ops import append_copies, parameter_like, replace_parameters
 from thermosplat.training.offloading import limit_device_memory
 from thermosplat.training.trainer import Trainer
-from training.frozen_training import frozen, quiet_trainer, run_steps, wait, warm_up
+from training.frozen_training import frozen, quiet_trainer, run_steps, warm_up
 
 NEVER = 10**11
 NOTING = DensificationConfig(start_step=NEVER, stop_step=2 * NEVER, every=NEVER, reset_every=NEVER)

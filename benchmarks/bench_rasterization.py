@@ -91,6 +91,7 @@ def arguments() -> argparse.Namespace:
     options = parser.parse_args()
     if options.resume and options.json is None:
         parser.error("--resume needs the --json of the run it goes on with")
+    options.no_stages |= options.changing
     return options
 
 
@@ -175,10 +176,16 @@ def write_report(report: dict[str, Any], json_path: Path | None, markdown_path: 
             write_text(path, text())
 
 
+def width_and_height(size: str) -> tuple[int, int]:
+    """Of WIDTHxHEIGHT."""
+    width, height = (int(number) for number in size.lower().split("x"))
+    return width, height
+
+
 def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], report: dict[str, Any]) -> None:
     """Fills the report's rows, case by case."""
     start_s, on_cpu = time.perf_counter(), device.type == "cpu"
-    peaks = None if options.no_stages or options.changing else DevicePeaks(**report["peaks"])
+    peaks = None if options.no_stages else DevicePeaks(**report["peaks"])
     repeats = options.repeats or (11 if on_cpu else 50)
 
     def note(row: dict[str, Any]) -> None:
@@ -192,10 +199,23 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
             note({"scene": scene[0], "size": "", "case": "", "error": one_line(scene[1])})
             continue
         scene = scene.to(device)
-        for size in options.sizes or ([CPU_SIZE] if on_cpu else CUDA_SIZES):
-            width, height = (int(number) for number in size.lower().split("x"))
+        sizes, cases = (
+            options.sizes or ([CPU_SIZE] if on_cpu else CUDA_SIZES),
+            options.cases or (CPU_CASES if on_cpu else CASES),
+        )
+        if options.changing:
+            for case in cases:
+                try:
+                    for row in changing_rows(scene, case, [width_and_height(size) for size in sizes], device, peers):
+                        note(row)
+                except Exception as error:  # as below
+                    traceback.print_exc()
+                    note({"scene": scene.name, "size": sizes[0], "case": case, "error": one_line(error)})
+            continue
+        for size in sizes:
+            width, height = width_and_height(size)
             with_truth = width * height <= TRUTH_PIXELS and len(scene.means) <= options.truth_gaussians
-            for case in options.cases or (CPU_CASES if on_cpu else CASES):
+            for case in cases:
                 if (scene.name, size, case) in done:
                     continue
                 if options.time_limit is not None and time.perf_counter() - start_s > options.time_limit:
@@ -205,10 +225,6 @@ def run(options: argparse.Namespace, device: torch.device, peers: list[Peer], re
                     print(report["stopped"], flush=True)
                     return
                 try:
-                    if options.changing:
-                        for row in changing_rows(scene, case, (width, height), device, peers):
-                            note(row)
-                        continue
                     row = run_case(
                         scene,
                         case,
@@ -263,7 +279,7 @@ def main() -> int:
     report: dict[str, Any] = {"environment": environment(device, peers), "rows": []}
     if options.resume and options.json.exists():
         report["rows"] = [row for row in json.loads(options.json.read_text())["rows"] if "error" not in row]
-    if not (options.no_stages or options.changing):
+    if not options.no_stages:
         report["peaks"] = measure_peaks(device)._asdict()
         print(
             f"peaks: {report['peaks']['bytes_per_s'] / 1e9:.0f} GB/s, {report['peaks']['flops_fp32'] / 2e9:.0f} GFMA/s"

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import torch
 
+from measuring.timing import wait
+
 REPEATS = 12
 
 
@@ -69,14 +71,9 @@ def _seconds(call: Callable[[], object], device: torch.device) -> float:
     """Shortest of a dozen times of a call that takes milliseconds: a peak is what is reached undisturbed."""
     times = []
     for _ in range(REPEATS):
-        _wait(device)
+        wait(device)
         start_s = time.perf_counter()
         call()
-        _wait(device)
+        wait(device)
         times.append(time.perf_counter() - start_s)
     return min(times)
-
-
-def _wait(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

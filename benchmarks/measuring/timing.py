@@ -63,6 +63,12 @@ def time_interleaved(
     return {name: summary(values) | {"host_ms": summary(host[name])["median_ms"]} for name, values in measured.items()}
 
 
+def wait(device: torch.device) -> None:
+    """Until the device has done what it was given."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
 def _time_on_gpu(call: Callable[[], object], device: torch.device, hide_host: bool) -> tuple[float, float]:
     """Milliseconds on the device, and until the call returned."""
     start, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)

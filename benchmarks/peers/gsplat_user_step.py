@@ -9,11 +9,11 @@ from itertools import cycle
 import torch
 from torch import Tensor
 
+from measuring.timing import wait
 from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.losses.image_terms import compare_frame
 from thermosplat.training.optimizers import EPSILON
 from thermosplat.training.trainer import Trainer
-from training.frozen_training import wait
 
 
 class GsplatUserStep:

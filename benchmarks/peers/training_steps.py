@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from measuring.timing import summary
+from measuring.timing import summary, wait
 from peers.gsplat_rgbt import gsplat_rasterization
 from peers.gsplat_user_step import GsplatUserStep
 from thermosplat.config import TrainConfig
@@ -25,7 +25,7 @@ from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.step_kind import StepKind
 from thermosplat.training.trainer import Trainer
-from training.frozen_training import Frames, frozen_trainer, run_steps, wait, warm_up
+from training.frozen_training import Frames, frozen_trainer, run_steps, warm_up
 
 RGB = "rgb"
 """The spectrum that gsplat is timed on alone."""

@@ -45,9 +45,9 @@ def markdown(report: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _names(rows: list[Row]) -> list[str]:
-    """Renderers in the order of their first appearance."""
-    return list(dict.fromkeys(name for row in rows for name in row["forward"]))
+def _names(rows: list[Row], key: str = "forward") -> list[str]:
+    """What rows have an entry of under a key, in the order of first appearance; under "forward" renderers."""
+    return list(dict.fromkeys(name for row in rows for name in row[key]))
 
 
 def _table(head: list[str], body: list[list[str]]) -> Iterator[str]:
@@ -119,7 +119,7 @@ def _errors(rows: list[Row]) -> Iterator[str]:
 
 def _stages(rows: list[Row]) -> Iterator[str]:
     rows = [row for row in rows if "stages" in row]
-    names = list(dict.fromkeys(name for row in rows for name in row["stages"]))
+    names = _names(rows, "stages")
     body = []
     for row in rows:
         cells = [*_place(row), f"{row['fragments']['either'] / 1e6:.2f}"]
@@ -133,7 +133,7 @@ def _stages(rows: list[Row]) -> Iterator[str]:
 
 def _changing(rows: list[Row]) -> Iterator[str]:
     rows = [row for row in rows if "changing" in row]
-    names = list(dict.fromkeys(name for row in rows for name in row["changing"]))
+    names = _names(rows, "changing")
     body = []
     for row in rows:
         found = [row["changing"].get(name) for name in names]
@@ -144,7 +144,7 @@ def _changing(rows: list[Row]) -> Iterator[str]:
 
 def _cores(rows: list[Row]) -> Iterator[str]:
     rows = [row for row in rows if "cores" in row]
-    counts = list(dict.fromkeys(count for row in rows for count in row["cores"]))
+    counts = _names(rows, "cores")
     body = []
     for row in rows:
         times = [row["cores"].get(count) for count in counts]

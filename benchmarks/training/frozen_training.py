@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from rich.console import Console
 
+from measuring.timing import wait
 from scenes.benchmark_scenes import synthetic_scene
 from thermosplat.config import OptimizerConfig, TrainConfig
 from thermosplat.datasets.cameras import Camera
@@ -135,12 +136,6 @@ def warm_up(trainer: Trainer) -> None:
     for index in range(len(trainer.frames)):
         trainer.frames[index]
     run_steps(trainer, len(trainer.frames) + 5 if trainer.steps.recordings is not None else 3)
-
-
-def wait(device: torch.device) -> None:
-    """Until the device has done what it was given."""
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
 
 
 def synthetic_capture(width: int, height: int, spectra: Mapping[str, SpectrumConfig] = DEFAULT_SPECTRA) -> Capture:

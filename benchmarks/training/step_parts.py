@@ -6,8 +6,9 @@ from typing import Any
 import torch
 from torch.profiler import ProfilerActivity, profile
 
+from measuring.timing import wait
 from thermosplat.training.trainer import Trainer
-from training.frozen_training import run_steps, wait
+from training.frozen_training import run_steps
 
 PARTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("image losses", ("image_loss_", "_ImageLoss", "_WindowFilter", "conv2d", "convolution")),

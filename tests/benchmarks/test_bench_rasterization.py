@@ -83,3 +83,19 @@ def test_a_wrong_path_is_a_row_and_a_failure(tmp_path: Path) -> None:
     assert done.returncode == 1
     (row,) = json.loads(path.read_text())["rows"]
     assert "FileNotFoundError" in row["error"]
+
+
+@pytest.mark.slow
+def test_loops_whose_shapes_change(tmp_path: Path) -> None:
+    """Each loop has a row with the time of a call and of the first call after a change, and a line in the table."""
+    options = ["--device", "cpu", "--changing", "--scene", "synthetic", "--count", "60", "--sizes", "48x32", "32x32"]
+    files = ["--json", str(tmp_path / "report.json"), "--markdown", str(tmp_path / "report.md")]
+    done = run_script("bench_rasterization.py", *options, "--cases", "features11", "--peers", *files)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = json.loads((tmp_path / "report.json").read_text())["rows"]
+    assert [row["loop"] for row in rows] == ["sizes take turns", "Gaussians become more"]
+    for row in rows:
+        times = row["changing"]["thermosplat"]
+        assert times["ms_per_call"]["median_ms"] > 0
+        assert times["first_ms"] > 0
+        assert row["loop"] in (tmp_path / "report.md").read_text()

@@ -1,6 +1,7 @@
 """What a run can be told: the schema, presets in YAML, and checks. Nothing here imports torch."""
 
 from thermosplat.config.schema import (
+    OF_FRAMES,
     AutoBudgetConfig,
     DecoderConfig,
     DensificationConfig,
@@ -15,6 +16,7 @@ from thermosplat.config.schema import (
 )
 
 __all__ = [
+    "OF_FRAMES",
     "AutoBudgetConfig",
     "DecoderConfig",
     "DensificationConfig",

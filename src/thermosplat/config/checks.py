@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import OF_FRAMES, TrainConfig
 from thermosplat.config.run_schedule import scaled_steps
 from thermosplat.config.schema import SPLIT_APART_MOST
 from thermosplat.config.spectrum_checks import check_spectra
@@ -172,7 +172,7 @@ def check_text(value: object, what: str) -> None:
 
 def _check_camera_passes(config: TrainConfig, name: Any) -> None:
     """Passes that find cameras must be long enough for a round."""
-    between_cameras = [kind for kind in config.refine if kind not in ("poses", "placed")]
+    between_cameras = [kind for kind in config.refine if kind not in OF_FRAMES]
     steps = min(config.refine_first, scaled_steps(config.max_steps, config.steps_scaler))
     begin = config.refine_rounds_from + config.refine_every
     if not between_cameras or len(config.modelled) < 2 or not 0 < steps < begin:

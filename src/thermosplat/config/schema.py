@@ -12,6 +12,8 @@ from typing import Literal
 from thermosplat.spectra import DEFAULT_SPECTRA, SpectrumConfig
 
 Refined = Literal["poses", "placed", "rig", "intrinsics", "distortion"]
+OF_FRAMES: frozenset[Refined] = frozenset({"poses", "placed"})
+"""What of the cameras each frame has of its own."""
 LensUse = Literal["undistort", "direct"]
 ImageSize = Literal["auto"] | int
 Steps = int | float

@@ -16,13 +16,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from thermosplat.config import TrainConfig
+from thermosplat.config import OF_FRAMES, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import FrameTensors, frame_tensors
 from thermosplat.datasets.read_ahead import read_ahead
 from thermosplat.evaluation.held_out import Lpips, evaluate
 from thermosplat.losses.image_terms import compare_frame
-from thermosplat.refinement.camera_corrections import OF_FRAMES, frame_center, frame_moves, pose_basis
+from thermosplat.refinement.camera_corrections import frame_center, frame_moves, pose_basis
 from thermosplat.refinement.camera_motion import moved_frame
 from thermosplat.refinement.corrected_capture import with_moved_frames
 from thermosplat.scene.model import SceneModel

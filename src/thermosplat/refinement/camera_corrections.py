@@ -30,7 +30,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from thermosplat.config import Refined
+from thermosplat.config import OF_FRAMES, Refined
 from thermosplat.datasets.cameras import Camera, camera_center
 from thermosplat.datasets.capture import Capture, Frame, View
 from thermosplat.datasets.frame_tensors import FrameTensors, ViewTensors, lens_tensor
@@ -39,8 +39,6 @@ from thermosplat.refinement.preconditioning import normal_matrix, points_in_view
 
 POSES: Refined = "poses"
 PLACED: Refined = "placed"
-OF_FRAMES = frozenset({POSES, PLACED})
-"""What each frame has of its own."""
 RIG: Refined = "rig"
 INTRINSICS: Refined = "intrinsics"
 DISTORTION: Refined = "distortion"

@@ -8,6 +8,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from thermosplat.config import OF_FRAMES
 from thermosplat.datasets.cameras import Camera
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.lens import in_colmaps_words
@@ -17,7 +18,6 @@ from thermosplat.refinement.camera_corrections import (
     FOCAL,
     INTRINSICS,
     MOTION,
-    OF_FRAMES,
     POSES,
     RIG,
     CameraCorrections,

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-from thermosplat.config import ModelConfig, ResolutionConfig, TrainConfig
+from thermosplat.config import OF_FRAMES, ModelConfig, ResolutionConfig, TrainConfig
 from thermosplat.datasets.capture import Capture
 from thermosplat.distributed.team import Team
-from thermosplat.refinement.camera_corrections import OF_FRAMES
 from thermosplat.runs.checkpoint import Checkpoint
 from thermosplat.scene.model import SceneModel
 from thermosplat.scene.offloaded import offload

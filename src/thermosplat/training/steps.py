@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 import torch
 
+from thermosplat.config import OF_FRAMES
 from thermosplat.config.run_schedule import adam_betas
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.refinement.camera_corrections import OF_FRAMES
 from thermosplat.scene.initial_gaussians import SHARED
 from thermosplat.stop_signals import deferred_interrupts
 from thermosplat.training.frames.train_frames import SpectrumSchedule, TrainFrames
