@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 EDGE = 0.05
 """Mean values nearer to an end of the range are far from grey. Thermal images of the captures here have means of 0.10
 to 0.49; with a lamp that stretches their range 0.01. Open choice."""
-LEAST = 1e-3
-"""A decoder starts this far from the ends of the range, where sigmoid has no slope. Open choice."""
+START = 0.1
+"""A decoder of such images starts this far from that end of the range; nearer to it, sigmoid has less slope. Open
+choice, measured beside 0.01 and grey in benchmarks/records/real-captures.md#situations."""
 LOOKED_AT = 16
 """Images of which the mean is taken, at most."""
 
@@ -58,7 +59,7 @@ class DecodedFormation(Formation):
         return model.feature_dim > 0
 
     def begin(self, scale: PixelScale, views: "Sequence[View]") -> None:
-        """As of ``Formation``: where images lie at an end of their range, their mean is what the decoder starts with.
+        """As of ``Formation``: where images lie at an end of their range, the decoder starts near that end.
 
         One that starts grey darkens all pixels first, and may go on to where sigmoid has no slope: the image then stays
         black (benchmarks/records/real-captures.md#situations).
@@ -69,7 +70,7 @@ class DecodedFormation(Formation):
         mean = torch.stack([self._there(image).mean(dim=(0, 1)) for image in seen]).mean(dim=0)
         if bool(((mean < EDGE) | (mean > 1.0 - EDGE)).all()):
             padding = self.settings.padding
-            self.common.decoder.start_at(self.name, (mean.clamp(LEAST, 1.0 - LEAST) + padding) / (1.0 + 2.0 * padding))
+            self.common.decoder.start_at(self.name, (mean.clamp(START, 1.0 - START) + padding) / (1.0 + 2.0 * padding))
 
     def through_optics(self, blended: Blended) -> Blended:
         """As of ``Formation``: blurred, unless it is a map, which no camera takes."""
