@@ -51,7 +51,6 @@ def test_blocks_are_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
         return block
 
     monkeypatch.setattr(wp, "empty", noted)
-    host_empty((2**24,), device)  # all blocks of before are too small for it, and go
     first = host_empty((2**22,), device)
     address = first.data_ptr()
     del first
