@@ -18,7 +18,7 @@ def toy_panels(folder: Path, root: Path = Path("toy"), others: tuple[str, ...] =
     capture = dataclasses.replace(toy_capture(others=others), root=root)
     model = toy_model(toy_config(**config), capture)
     held_out = type(capture)(**{**capture.__dict__, "test": capture.train})
-    write_panels(folder, model, held_out, sh_degree=1, device="cpu")
+    write_panels(folder, model, held_out, sh_degree=1)
     return model
 
 

@@ -38,7 +38,7 @@ def trained(folder: Path, world: Placement) -> Outcome:
         trainer.train_step()
     trainer.save()
     trainer.results.exporting()()
-    metrics = evaluate(trainer.model, trainer.capture, sh_degree=trainer.sh_degree, device="cpu")
+    metrics = evaluate(trainer.model, trainer.capture, sh_degree=trainer.sh_degree)
     content = (trainer.run.ply / "splat_rgb.ply").read_bytes().partition(b"end_header\n")[2]
     return Outcome(metrics, np.frombuffer(content, "<f4").reshape(-1, len(PROPERTIES)), trainer)
 

@@ -54,17 +54,14 @@ def shown_frames(frames: Sequence[Frame]) -> list[Frame]:
 
 
 @torch.no_grad()
-def write_panels(
-    folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
-) -> None:
+def write_panels(folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int) -> None:
     """Render the kept frames and write their pictures."""
     index: list[dict[str, Any]] = []
     pictures = plain_folder(folder, FOLDER)
     for frame in shown_frames(capture.test):
         truth = read_ground_truth(capture, frame)
         ranges = {name: display_range(capture, name) for name in model.spectra}
-        how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "ranges": ranges}
-        comparisons = frame_comparisons(model, frame, capture.scales, **how)
+        comparisons = frame_comparisons(model, frame, capture.scales, sh_degree=sh_degree, ranges=ranges)
         for spectrum, comparison in comparisons.items():
             stem = f"{file_stem(frame.name)}_{spectrum}"
             write_png(pictures / f"{stem}_truth.png", comparison.truth)
@@ -78,7 +75,7 @@ def write_panels(
             }
             span = None if truth is None or spectrum not in truth.depths else _depth_span(truth)
             if truth is not None and span is not None:
-                camera = without_pixels(frame.views[spectrum], device)
+                camera = without_pixels(frame.views[spectrum], model.device)
                 depth = model.render_depth(spectrum, camera).cpu().numpy()
                 write_png(pictures / f"{stem}_true_depth.png", depth_bytes(truth.depths[spectrum], *span))
                 write_png(pictures / f"{stem}_depth.png", depth_bytes(depth, *span))

@@ -117,6 +117,11 @@ class SceneModel(nn.Module):
         return self.config.feature_dim > 0
 
     @property
+    def device(self) -> torch.device:
+        """Where the scene lies."""
+        return next(self.gaussian_sets.parameters()).device
+
+    @property
     def num_gaussians(self) -> int:
         """Gaussians in all sets together."""
         return sum(len(self.gaussians(name)) for name in self.gaussian_sets)
