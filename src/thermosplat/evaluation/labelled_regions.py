@@ -115,7 +115,6 @@ def write_regions(
 
     Args:
         path: Another file in place of regions.json.
-        temperatures: As of ``region_errors``.
     """
     regions = region_errors(model, capture, sh_degree=sh_degree, temperatures=temperatures)
     if regions is not None:
