@@ -89,7 +89,7 @@ def measured(run: RunDirectory, capture: Capture, out: Path, budget: float, sett
     metrics = trainer.train()
     for path in trainer.run.ckpts.glob("*.pt"):
         path.unlink()
-    rate = frames_per_second(trainer.model.eval(), capture, sh_degree=trainer.sh_degree, device=trainer.device)
+    rate = frames_per_second(trainer.model.eval(), capture, sh_degree=trainer.sh_degree)
     return {
         "budget": budget,
         "num_gaussians": metrics["num_gaussians"],

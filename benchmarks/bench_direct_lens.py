@@ -120,9 +120,9 @@ def judged(run: Path, capture: Path, data_factor: int) -> dict[str, Any]:
     untouched, resampled = load_capture(capture, lens="direct", **how), load_capture(capture, **how)
     rows: dict[str, list[list[float]]] = {name: [] for name in model.spectra}
     for frame, other in zip(untouched.test, resampled.test, strict=True):
-        pinholes = rendered_views(model, other, resampled.scales, loaded.sh_degree, loaded.device)
+        pinholes = rendered_views(model, other, resampled.scales, loaded.sh_degree)
         straight = {view.spectrum: view for view in pinholes}
-        for view in rendered_views(model, frame, untouched.scales, loaded.sh_degree, loaded.device):
+        for view in rendered_views(model, frame, untouched.scales, loaded.sh_degree):
             pinhole = straight[view.spectrum]
             places = places_in(other.views[view.spectrum].camera, view.camera)
             inside = (places.abs() < 1).all(dim=-1)

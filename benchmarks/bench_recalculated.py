@@ -64,7 +64,7 @@ def apparent_views(named: str, data: str | None) -> tuple[Capture, dict[str, Arr
         seen = {}
         with torch.no_grad():
             for frame in capture.test:
-                for view in rendered_views(loaded.model, frame, capture.scales, loaded.sh_degree, loaded.device):
+                for view in rendered_views(loaded.model, frame, capture.scales, loaded.sh_degree):
                     if view.values is not None:
                         seen[frame.name] = view.scale.value(view.intensity).double().cpu().numpy()
         return capture, seen

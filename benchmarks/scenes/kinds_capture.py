@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.ground_truth import LABELS
-from thermosplat.prepare.evenly_chosen import evenly_chosen
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.thermal.intensity import pixel_intensity
 
 LABEL_NAMES = tuple(name.replace(" ", "_") for name in LABELS.values())
@@ -71,7 +71,7 @@ def capture_with_bands(capture: Path, out: Path, channels: int, chosen: int | No
     loaded = load_capture(capture)
     wavelengths = np.linspace(0.0, 1.0, channels)
     if chosen is not None:
-        wavelengths = wavelengths[evenly_chosen(channels, chosen)]
+        wavelengths = wavelengths[evenly_chosen(range(channels), chosen)]
     bells = np.exp(-0.5 * np.square((wavelengths[:, None] - np.array(_MIDDLES)) / _WIDTH))
     bells /= bells.sum(axis=1, keepdims=True)
     random = np.random.default_rng(seed)

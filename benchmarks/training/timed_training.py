@@ -50,9 +50,7 @@ class Notes:
         """Of each: when it ended, the time waited for frames to be read until then, and for the device."""
         self.windows: list[dict[str, float]] = []
         self._stood = 0.0
-        ends = [*range(epoch - 1, count - 1, epoch), count - 1]
-        starts = [0, *ends[:-1]]
-        self._last = {end: end - profiled for end, start in zip(ends, starts) if profiled and end - start > profiled}
+        self._last = profiled_steps(epoch, count, profiled)
         self._profile: Any = None
         self._began = 0.0
 
@@ -76,6 +74,13 @@ class Notes:
             self._profile.start()
             self._began = time.time()
         self._stood += time.time() - now
+
+
+def profiled_steps(epoch: int, count: int, profiled: int) -> dict[int, int]:
+    """The step before which each profile ends, and the one before which it begins; arguments as of ``Notes``."""
+    ends = [*range(epoch - 1, count - 1, epoch), count - 1]
+    starts = [0, *ends[:-1]]
+    return {end: end - profiled for end, start in zip(ends, starts) if profiled and end - start > profiled}
 
 
 def main(words: list[str]) -> None:

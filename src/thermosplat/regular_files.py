@@ -40,9 +40,6 @@ def open_regular(path: Path) -> BinaryIO:
 def read_regular(path: Path) -> bytes:
     """The content of a file.
 
-    Args:
-        path: As of ``open_regular``.
-
     Raises:
         OSError: As ``open_regular``.
     """

@@ -15,7 +15,7 @@ from measuring.process_memory import memory_of
 from measuring.process_time import seconds_of_children
 from scenes.capture_of_copies import capture_of_copies
 from thermosplat.datasets import load_capture
-from training.timed_training import Notes
+from training.timed_training import profiled_steps
 
 
 def test_a_capture_of_copies(tmp_path: Path) -> None:
@@ -54,12 +54,12 @@ def test_time_in_which_a_device_is_busy() -> None:
     assert covered([(5.0, 6.0), (0.0, 2.0), (1.0, 3.0), (1.5, 2.0)]) == 4.0
 
 
-def test_profiled_steps() -> None:
+def test_profiles_end_with_epochs() -> None:
     """The last ones of each epoch that has more, but the very last; nothing is noted after the last step of all."""
-    assert Notes(10, 25, 5)._last == {9: 4, 19: 14}  # the third epoch has no more than five
-    assert Notes(10, 25, 3)._last == {9: 6, 19: 16, 24: 21}
-    assert Notes(10, 25, 0)._last == {}
-    assert Notes(10, 10, 3)._last == {9: 6}
+    assert profiled_steps(10, 25, 5) == {9: 4, 19: 14}  # the third epoch has no more than five
+    assert profiled_steps(10, 25, 3) == {9: 6, 19: 16, 24: 21}
+    assert profiled_steps(10, 25, 0) == {}
+    assert profiled_steps(10, 10, 3) == {9: 6}
 
 
 def test_time_is_that_of_children() -> None:

@@ -20,7 +20,7 @@ OFFSETS = [12.0, -7.0, 3.0, 0.0]
 
 def with_points(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     """The model with points on the room's surfaces."""
-    for solid in seen_room._surfaces():
+    for solid in seen_room.room_surfaces():
         for side in solid:
             for u, v in np.random.default_rng(0).uniform(0, 1, (60, 2)):
                 model.add_point3D(side.corner + u * side.sides[0] + v * side.sides[1], pycolmap.Track(), np.zeros(3))
@@ -44,7 +44,7 @@ def write_by_hand(room: seen_room.SeenRoom, folder: Path) -> HandMade:
         model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=[FOCAL_LENGTH, WIDTH / 2, HEIGHT / 2, 0.0]
     )
     for number, viewmat in enumerate(room.viewmats):
-        colours, celsius = seen_room._see(seen_room._surfaces(), lens, viewmat)
+        colours, celsius = seen_room.photograph(seen_room.room_surfaces(), lens, viewmat)
         part = "test" if number == 0 else "train"
         counts = 100 * (celsius + 273.15) - OFFSETS[number]
         for kind, ending, image in (("rgb", "jpg", colours), ("thermal_raw", "png", counts.astype(np.uint16))):

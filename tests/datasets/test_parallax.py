@@ -25,8 +25,9 @@ def test_largest_angle_between_cameras_that_see_a_place() -> None:
 
 
 def test_nothing_is_said_where_nothing_is_known() -> None:
-    """One camera, no points, or points behind all cameras."""
+    """No camera, one, no points, or points behind all cameras."""
     for cameras, places in (
+        ([], np.ones((3, 3))),
         ([camera(0.0)], np.ones((3, 3))),
         ([camera(0.0), camera(1.0)], np.empty((0, 3))),
         ([camera(0.0), camera(1.0)], np.array([[0.0, 0.0, -5.0], [0.0, 0.0, 0.0]])),

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thermosplat.datasets import pixel_cache
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.runs import atomic_writes
 
@@ -98,8 +97,10 @@ def test_files_of_others_are_none(cache: PixelCache, tmp_path: Path) -> None:
         np.save(file, array, allow_pickle=True)
         assert cache.load(KEY, "image") is None
         assert not cache.load_into(KEY, "image", np.empty_like(ARRAY))
-    header = pixel_cache._header("<f4", (1 << 20, 1 << 20))
-    file.write_bytes(header + bytes(100))
+    with file.open("wb") as large:
+        described = {"descr": "<f4", "fortran_order": False, "shape": (1 << 20, 1 << 20)}
+        np.lib.format.write_array_header_1_0(large, described)
+        large.write(bytes(100))
     assert cache.load(KEY, "image") is None
 
 

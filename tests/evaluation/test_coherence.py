@@ -34,6 +34,6 @@ def test_spectra_of_one_geometry_are_coherent() -> None:
     scene = viewed_toy()
     assert scene.capture is not None
     with torch.no_grad():
-        found = coherence(scene.model, scene.capture, sh_degree=1, device="cpu")
+        found = coherence(scene.model, scene.capture, sh_degree=1)
     assert set(found) == {"rgb-thermal"}
     assert 0 <= found["rgb-thermal"]["depth_difference"] < 0.2

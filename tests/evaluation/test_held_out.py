@@ -37,13 +37,14 @@ class FixedImages:
         images = {"rgb": rgb, "thermal": thermal}
         self.images = {name: image for name, image in images.items() if image is not None}
         self.spectra = dict.fromkeys(self.images)
+        self.device = next(iter(self.images.values())).device
 
     def render(self, views: Any, *, sh_degree: int, shared_cameras: Any) -> RenderedFrame:
         return RenderedFrame(images={name: image for name, image in self.images.items() if name in views})
 
 
 def run(model: Any, capture: Capture, **options: Any) -> dict[str, Any]:
-    return evaluate(model, capture, sh_degree=1, device="cpu", **options)
+    return evaluate(model, capture, sh_degree=1, **options)
 
 
 @pytest.mark.parametrize("kind", ["color", "scalar"])
@@ -191,9 +192,9 @@ def test_degrees_are_measured_on_the_device(device: torch.device, tmp_path: Path
     generator = torch.Generator().manual_seed(2)
     images = [torch.rand(HEIGHT, WIDTH, 3, generator=generator) for _ in range(2)]
     options = {"sh_degree": 1, "lpips": lambda render, target: (render - target).abs().mean().item()}
-    on_cpu = evaluate(FixedImages(*images), capture, device="cpu", **options)
+    on_cpu = evaluate(FixedImages(*images), capture, **options)
     there = FixedImages(*(image.to(device) for image in images))
-    metrics = evaluate(there, capture, device=device, strips_dir=tmp_path, **options)
+    metrics = evaluate(there, capture, strips_dir=tmp_path, **options)
     for name in ("rgb", "thermal"):
         # abs: the SSIM of unrelated images is about 0, as a mean of float32 numbers of order 1
         assert metrics[name] == pytest.approx(on_cpu[name], rel=1e-5, abs=1e-6)

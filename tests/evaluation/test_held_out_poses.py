@@ -40,7 +40,7 @@ def test_the_pose_is_found(known: tuple[SceneModel, Capture, TrainConfig]) -> No
     """What the frame was moved by comes back with the other sign; no parameter of the scene has changed."""
     model, capture, config = known
     before = {name: value.clone() for name, value in model.state_dict().items()}
-    motions = held_out_motions(model, capture, config, sh_degree=1, device="cpu")
+    motions = held_out_motions(model, capture, config, sh_degree=1)
     assert motions["held out"] == pytest.approx(-TRUE_MOTION, abs=2e-3)
     assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
     assert all(parameter.requires_grad and parameter.grad is None for parameter in model.parameters())
@@ -50,18 +50,18 @@ def test_a_photograph_among_placed_images_stays(known: tuple[SceneModel, Capture
     """Thermal images alone find their poses where those that were placed are refined."""
     model, capture, config = known
     config = dataclasses.replace(config, refine=("placed",))
-    assert held_out_motions(model, capture, config, sh_degree=1, device="cpu") == {}
+    assert held_out_motions(model, capture, config, sh_degree=1) == {}
     frame = capture.test[0]
     alone = dataclasses.replace(frame, name="alone", views={"thermal": frame.views["thermal"]})
     capture = dataclasses.replace(capture, test=(frame, alone))
-    assert held_out_motions(model, capture, config, sh_degree=1, device="cpu").keys() == {"alone"}
+    assert held_out_motions(model, capture, config, sh_degree=1).keys() == {"alone"}
 
 
 def test_both_numbers_are_reported(known: tuple[SceneModel, Capture, TrainConfig], tmp_path: Path) -> None:
     """Numbers, table and pictures are of the poses found; the capture's own poses stand beside them."""
     model, capture, config = known
     table = tmp_path / "views.csv"
-    judged = evaluate_refined(model, capture, config, sh_degree=1, device="cpu", csv_path=table)
+    judged = evaluate_refined(model, capture, config, sh_degree=1, csv_path=table)
     assert judged.metrics["test_poses"] == "refined on the finished scene"
     for name in ("rgb", "thermal"):
         assert judged.metrics[name]["psnr"] > judged.metrics["unrefined"][name]["psnr"] + 6
@@ -77,9 +77,7 @@ def test_poses_that_training_did_not_refine_stay(known: tuple[SceneModel, Captur
     """Where rig or lenses alone are refined, held-out views are judged by the poses of the capture."""
     model, capture, config = known
     for refined in ((), ("rig", "intrinsics")):
-        judged = evaluate_refined(
-            model, capture, dataclasses.replace(config, refine=refined), sh_degree=1, device="cpu"
-        )
+        judged = evaluate_refined(model, capture, dataclasses.replace(config, refine=refined), sh_degree=1)
         assert judged.capture is capture
         assert "unrefined" not in judged.metrics
         assert unrefined_sentences(judged.metrics) == []
@@ -89,5 +87,5 @@ def test_a_pose_that_fits_is_not_made_worse(known: tuple[SceneModel, Capture, Tr
     """Of all that was tried, no motion among it, the best is taken."""
     model, capture, config = known
     found = with_moved_frames(capture, {"held out": -TRUE_MOTION})
-    motion = held_out_motions(model, found, config, sh_degree=1, device="cpu")["held out"]
+    motion = held_out_motions(model, found, config, sh_degree=1)["held out"]
     assert motion.abs().max() < 1e-3

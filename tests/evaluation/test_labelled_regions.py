@@ -45,7 +45,7 @@ class FixedRender:
     def __init__(self, rgb: torch.Tensor, thermal: torch.Tensor | None, depths: dict[str, torch.Tensor]) -> None:
         images = {"rgb": rgb, "thermal": thermal}
         self.images = {name: image for name, image in images.items() if image is not None}
-        self.spectra, self.depths = dict.fromkeys(self.images), depths
+        self.spectra, self.depths, self.device = dict.fromkeys(self.images), depths, rgb.device
 
     def render(self, views: Any, *, sh_degree: int, shared_cameras: Any) -> RenderedFrame:
         return RenderedFrame(images=self.images)
@@ -61,7 +61,7 @@ def images(capture: Capture) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def measured(model: Any, capture: Capture) -> dict[str, Any]:
-    regions = region_errors(model, capture, sh_degree=1, device="cpu")
+    regions = region_errors(model, capture, sh_degree=1)
     assert regions is not None
     return regions
 
@@ -127,7 +127,7 @@ def test_regions_on_a_device(device: torch.device, tmp_path: Path) -> None:
     depths = {name: 5 * torch.rand(HEIGHT, WIDTH, generator=generator) for name in ("rgb", "thermal")}
     on_cpu = measured(FixedRender(rgb, thermal, depths), capture)
     there = FixedRender(rgb.to(device), thermal.to(device), {name: depth.to(device) for name, depth in depths.items()})
-    regions = region_errors(there, capture, sh_degree=1, device=device)
+    regions = region_errors(there, capture, sh_degree=1)
     for region, numbers in on_cpu.items():
         assert regions[region]["pixels"] == numbers["pixels"]
         for name in ("rgb", "thermal"):
@@ -212,9 +212,9 @@ def test_file_of_a_real_model(tmp_path: Path) -> None:
     capture = capture_with_truth(tmp_path)
     model, run = toy_model(toy_config(), capture), RunDirectory(tmp_path / "run")
     run.path.mkdir()
-    assert write_regions(run, model, toy_capture(), 7, 1, "cpu") is None
+    assert write_regions(run, model, toy_capture(), 7, 1) is None
     assert not run.regions_json.exists()
-    regions = write_regions(run, model, capture, 7, 1, "cpu")
+    regions = write_regions(run, model, capture, 7, 1)
     assert json.loads(run.regions_json.read_text()) == {"steps": 7, "regions": regions}
     assert regions["glass"]["thermal"]["depth_error"] > 0
     RunDirectory.create(run.path, overwrite=True)

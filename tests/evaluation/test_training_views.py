@@ -17,7 +17,7 @@ def test_one_color_is_the_mean_of_all_images() -> None:
 def test_numbers_of_every_spectrum() -> None:
     """A toy scene has both, and a perfect constant has no more than one colour."""
     capture = toy_capture()
-    found = training_views(toy_model(toy_config(), capture), capture, sh_degree=1, device="cpu")
+    found = training_views(toy_model(toy_config(), capture), capture, sh_degree=1)
     assert set(found) == {"rgb", "thermal"}
     for name, numbers in found.items():
         targets = [torch.as_tensor(frame.views[name].pixels().image).float() for frame in capture.train]

@@ -4,10 +4,11 @@ Pictures are small here, so that thousands of cases take minutes. What is large 
 """
 
 import io
-import math
 import socket
 import sys
 import threading
+import time
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ import msgspec
 from page_client import CAMERA, PageClient
 from thermosplat.viewer import picture_sizes, visitor
 from thermosplat.viewer.front_end import Viewer
-from thermosplat.viewer.notices import NOTICES
+from thermosplat.viewer.notices import AT_ONCE, NOTICES, SECONDS
 
 HOSTILE: list[Any] = [
     *(None, True, False, "", "x", "x" * 5000, "\0", "\x1b[31m", "\u202e", "../../x", "a/" * 3000, b"", b"\xff" * 100),
@@ -76,7 +77,7 @@ class Fuzz:
 
     def __init__(self, folder: Path) -> None:
         self.viewer = Viewer(viewed_toy(), folder / "measurements", port=0)
-        self.page = self.open()
+        self.page, self.cases = self.open(), 0
         self.labels = [handle.label for handle in self.page.visitor.client.gui._gui_input_handle_from_uuid.values()]
 
     def open(self) -> PageClient:
@@ -85,7 +86,8 @@ class Fuzz:
 
     def __call__(self, rng: np.random.Generator) -> str:
         """One case."""
-        NOTICES._free_at = -math.inf
+        self.cases += 1
+        NOTICES.clock = partial(time_later, AT_ONCE * SECONDS * self.cases)  # each case may say as much as the first
         said, sys.stderr = sys.stderr, io.StringIO()
         try:
             kind = self.request(rng) if rng.integers(0, 4) == 0 else self.message(rng)
@@ -168,6 +170,11 @@ class Fuzz:
                 assert len(value) <= 200
         assert np.isfinite(self.page.visitor.view().viewmat).all()
         assert threading.active_count() < 80
+
+
+def time_later(seconds: float) -> float:
+    """A clock that is ahead [s]."""
+    return time.monotonic() + seconds
 
 
 def replaced(value: Any, rng: np.random.Generator) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from thermosplat.method_matrix.panels import read_panels, shown_frames, write_panels
+from thermosplat.method_matrix.panels import read_panels, write_panels
 from thermosplat.method_matrix.sheets import PANEL_WIDTH, write_sheets
 from thermosplat.pictures.image_display import Image8, read_png
 from thermosplat.scene.model import SceneModel
@@ -18,7 +18,7 @@ def toy_panels(folder: Path, root: Path = Path("toy"), others: tuple[str, ...] =
     capture = dataclasses.replace(toy_capture(others=others), root=root)
     model = toy_model(toy_config(**config), capture)
     held_out = type(capture)(**{**capture.__dict__, "test": capture.train})
-    write_panels(folder, model, held_out, sh_degree=1, device="cpu")
+    write_panels(folder, model, held_out, sh_degree=1)
     return model
 
 
@@ -101,11 +101,3 @@ def test_depth_stands_beside_the_images_where_the_true_one_is_known(tmp_path: Pa
     sheet = read_png(written)
     assert sheet is not None
     assert sheet.shape[1] == 6 * PANEL_WIDTH + 5 * 4
-
-
-def test_first_middle_and_last_frame_are_shown() -> None:
-    """The choice depends on the number of frames alone."""
-    (frame,) = toy_capture().train
-    frames = [type(frame)(str(index), frame.views) for index in range(10)]
-    assert [shown.name for shown in shown_frames(frames)] == ["0", "4", "9"]
-    assert shown_frames(frames[:2]) == frames[:2]

@@ -75,9 +75,9 @@ def test_rays_are_longer_than_depths(scene) -> None:
 
 def test_evaluation_compares_recalculated_with_recalculated(scene) -> None:
     """Both sides become larger apart, and what was 0 stays 0; PSNR is that of the images."""
-    plain = evaluate(scene.model, scene.capture, sh_degree=1, device="cpu")
+    plain = evaluate(scene.model, scene.capture, sh_degree=1)
     made = temperatures(scene, emissivity=0.6)
-    done = evaluate(scene.model, scene.capture, sh_degree=1, device="cpu", temperatures=made)
+    done = evaluate(scene.model, scene.capture, sh_degree=1, temperatures=made)
     assert done["thermal"]["psnr"] == plain["thermal"]["psnr"]
     assert done["thermal"]["mae_celsius"] > 1.2 * plain["thermal"]["mae_celsius"]
     assert abs(plain["thermal"]["bias_celsius"]) <= plain["thermal"]["mae_celsius"]

@@ -1,11 +1,13 @@
 """Tensors of a device in the host's memory: torch and kernels use them as any other."""
 
 import gc
+import weakref
+from typing import Any
 
 import pytest
 import torch
+import warp as wp
 
-from thermosplat.torch_bridge import host_memory
 from thermosplat.torch_bridge.host_memory import host_empty, is_in_host_memory
 
 
@@ -38,15 +40,24 @@ def test_takes_nothing_of_the_device() -> None:
 
 
 @pytest.mark.cuda
-def test_blocks_are_used_again() -> None:
+def test_blocks_are_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tensor a little larger than one that is gone takes its memory; one that is much larger does not."""
-    device = torch.device("cuda")
+    device, make = torch.device("cuda"), wp.empty
+    blocks: weakref.WeakSet[wp.array] = weakref.WeakSet()
+
+    def noted(*arguments: Any, **named: Any) -> wp.array:
+        block = make(*arguments, **named)
+        blocks.add(block)
+        return block
+
+    monkeypatch.setattr(wp, "empty", noted)
     first = host_empty((2**22,), device)
     address = first.data_ptr()
     del first
     gc.collect()
     assert host_empty((2**22 + 1000,), device).data_ptr() == address
     gc.collect()
-    large = host_empty((2**24,), device)
-    assert all(block.shape[0] >= 64 for block in host_memory._kept.values())  # what is too small is not kept [MiB]
-    assert float(large.fill_(1.0).sum()) == 2**24
+    large = host_empty((2**25,), device)
+    gc.collect()
+    assert [block.ptr for block in blocks] == [large.data_ptr()]  # what is too small is not kept
+    assert float(large.fill_(1.0).sum()) == 2**25

@@ -1,16 +1,17 @@
 """What captured steps forget when all images get another size; nothing here needs a GPU."""
 
+from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 
-from thermosplat.datasets.frame_tensors import FrameTensors
 from thermosplat.distributed.team import Team
 from thermosplat.training import recorded_steps
 from thermosplat.training.frames.shrunk_frames import ShrunkFrames
 from thermosplat.training.frames.train_frames import TrainFrames
-from thermosplat.training.recorded_steps import RecordedSteps, Work
+from thermosplat.training.recorded_steps import RecordedSteps
 from thermosplat.training.step_kind import Plan, StepKind
 from toy_run import enlarged, many_frames
 from toy_scene import toy_capture
@@ -25,10 +26,12 @@ class Recorded:
         self.done: list[str] = []
         self.state = self
         self.team = Team.of_one(torch.device("cpu"))
+        self.capacity = SimpleNamespace(measure=lambda: None)
+        self.noise = torch.Generator()
         self.step = 0
 
     def gradients(self, frames: Any, kind: StepKind, plan: Plan, *, fixed_capacity: bool) -> Any:
-        self.done.append("line by line")
+        self.done.append("captured" if fixed_capacity else "line by line")
 
     def update(self, kind: StepKind, differentiated: Any) -> None:
         self.step += 1
@@ -41,15 +44,9 @@ class Recorded:
 def recorded(monkeypatch: pytest.MonkeyPatch) -> Recorded:
     """What was done; captures are noted instead of made."""
     recorded = Recorded()
-
-    def capture(steps: RecordedSteps, frames: tuple[FrameTensors, ...], work: Work) -> Any:
-        recorded.done.append("captured")
-        static = steps.frames.setdefault(work.shapes, tuple(map(recorded_steps.packed_elsewhere, frames)))
-        return recorded_steps.Captured(recorded, static, None)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(torch.cuda, "MemPool", lambda: recorded)
-    recorded.id = 0  # type: ignore[attr-defined]
-    monkeypatch.setattr(RecordedSteps, "_capture", capture)
+    monkeypatch.setattr(torch.cuda, "MemPool", lambda: SimpleNamespace(id=0))
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: recorded)
+    monkeypatch.setattr(recorded_steps, "captured_in", lambda graph, pool: nullcontext())
     return recorded
 
 
@@ -73,6 +70,7 @@ def test_each_size_is_seen_line_by_line_and_then_captured(recorded: Recorded) ->
             assert torch.equal(static.views["rgb"].image, frame.views["rgb"].image)
     size = ["line by line"] * 4 + ["captured", "replayed", "replayed", "replayed"]
     assert recorded.done == size * 3
+    assert recorded.step == 21
     assert kept == ([(0, 0)] * 4 + [(1, 1)] * 3) * 3
 
 

@@ -11,6 +11,7 @@ import torch
 from rolling_captures import shaken
 from thermosplat.config import AutoBudgetConfig, DensificationConfig, ResolutionConfig
 from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.rasterizer import pair_capacity
 from thermosplat.training.recorded_steps import RecordedSteps
 from thermosplat.training.session.run_metrics import feature_channels
 from thermosplat.training.trainer import Trainer
@@ -221,24 +222,24 @@ def test_fewer_latent_channels_are_captured_anew(tmp_path: Path) -> None:
     torch.testing.assert_close(ours.means, theirs.means, rtol=0.05, atol=5e-3)
 
 
-def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path) -> None:
+def test_a_step_that_does_not_fit_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With too little room the parameters stay; after a look there is room, and training goes on."""
     still = DensificationConfig(stop_step=0)
     trainer = _run(tmp_path, "shared", 20, densification=still, log_every=1000)
     captured = trainer.steps
+    (kind,) = {work.kind for work in recordings(trainer).graphs}
     captured.forget()
     trainer.state.step = 0  # past its last step the schedule names no spectrum
-    kind = next(iter(recordings(trainer)._seen)).kind
     capacity = captured.step.capacity
-    capacity.measure()
-    capacity._rooms = [dataclasses.replace(room, pairs=10) for room in capacity._rooms]
-    capacity.measure = lambda: None  # type: ignore[method-assign]
+    most = capacity.most.clone()
+    capacity.most.fill_(1)  # as if frames had hardly any pairs
+    monkeypatch.setattr(pair_capacity, "LEAST", 10)
     before = trainer.model.gaussians("shared").means.detach().clone()
     with captured.run(kind):
         pass
     assert capacity.overflow == 1
     assert torch.equal(trainer.model.gaussians("shared").means, before)
-    del capacity.measure
+    capacity.most.copy_(most)
     captured.check_overflow()
     assert not recordings(trainer).graphs
     with captured.run(kind):

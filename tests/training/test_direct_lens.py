@@ -36,7 +36,7 @@ def test_the_true_scene_shows_the_images_through_its_lenses_alone() -> None:
     model.load_state_dict(scene)
 
     def errors(capture: Capture) -> dict[str, float]:
-        views = rendered_views(model, capture.test[0], capture.scales, 1, "cpu")
+        views = rendered_views(model, capture.test[0], capture.scales, 1)
         return {view.spectrum: float((view.image - view.target).detach().abs().max()) for view in views}
 
     assert errors(capture) == pytest.approx({"rgb": 0.0, "thermal": 0.0}, abs=1e-6)

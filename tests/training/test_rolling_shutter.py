@@ -48,7 +48,7 @@ def errors(model: SceneModel, capture: Capture) -> dict[str, float]:
     The median, since a rolling shutter sorts Gaussians by depth once, and line by line they are sorted for each line:
     where two of a depth overlap, single pixels differ.
     """
-    views = rendered_views(model, capture.test[0], capture.scales, 1, "cpu")
+    views = rendered_views(model, capture.test[0], capture.scales, 1)
     return {view.spectrum: float((view.image - view.target).detach().abs().median()) for view in views}
 
 

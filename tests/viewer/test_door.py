@@ -4,6 +4,7 @@ import contextlib
 import socket
 from collections.abc import Iterator
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import pytest
 
@@ -241,7 +242,22 @@ def test_a_viser_that_passes_the_door_by_is_not_served(monkeypatch: pytest.Monke
     import websockets.asyncio.server as websockets_server
 
     serve = websockets_server.serve
-    monkeypatch.setattr("thermosplat.viewer.door._guarded", lambda door: contextlib.nullcontext())
+    started, stopped = [], []
+
+    class StartedOtherwise:
+        """A server that asks no door."""
+
+        gui = SimpleNamespace(_gui_input_handle_from_uuid={})
+
+        def __init__(self, **options: object) -> None:
+            started.append(self)
+
+        def stop(self) -> None:
+            stopped.append(self)
+
+    monkeypatch.setattr("viser.ViserServer", StartedOtherwise)
     with pytest.raises(UserError, match="not known to this viewer"):
         open_server("127.0.0.1", 0, Door("127.0.0.1", {}))
+    assert started == stopped
+    assert len(started) == 1
     assert websockets_server.serve is serve

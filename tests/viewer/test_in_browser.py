@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
@@ -254,7 +255,7 @@ def test_a_closed_tab_frees_its_memory(browser: Any, viewer: Viewer) -> None:
     tab = Tab(browser, viewer)
     visitor = tab.visitor
     assert visitor.session.shown is not None
-    thread = visitor._thread
+    (thread,) = (one for one in threading.enumerate() if one.name == f"viewer {visitor.client.client_id}")
     kept = [weakref.ref(thing) for thing in (visitor, visitor.session, visitor.session.shown, *visitor.panels)]
     pixels = weakref.ref(visitor.session.shown.picture)
     page = tab.page

@@ -37,7 +37,7 @@ def test_temperatures_are_those_of_the_metrics(kind: str) -> None:
     assert scene.capture is not None
     frame = scene.capture.test[0]
     with torch.no_grad():
-        judged = {r.spectrum: r for r in rendered_views(scene.model, frame, scene.scales, 1, "cpu")}["thermal"]
+        judged = {r.spectrum: r for r in rendered_views(scene.model, frame, scene.scales, 1)}["thermal"]
         expected = judged.scale.value(judged.intensity).numpy()
     layer = Layer("image", "thermal")
     image = LayerRenderer(scene).render([layer], judged.camera)[layer]

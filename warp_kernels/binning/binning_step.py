@@ -124,23 +124,9 @@ def sort_gaussians(
     rest: wp.array | None = None,
     room: Room | None = None,
 ) -> SortedGaussians:
-    """The first half of ``bin_tiles``, which knows how many pairs there are.
+    """The first half of ``bin_tiles``, with its arguments: afterwards it is known how many pairs there are.
 
     It counts the tiles of each Gaussian, leaves out those without (if there are many), and sorts by depth.
-
-    Args:
-        projected: as in ``bin_tiles``, as are all arguments.
-        opacities: see there.
-        thermal_opacities: see there.
-        features: see there.
-        settings: see there.
-        tile_size: see there.
-        rest: see there.
-        room: see there.
-
-    Raises:
-        TooManyPairsError: as ``bin_tiles``.
-        ValueError: likewise.
     """
     if tile_size < 1 or tile_size & (tile_size - 1):
         raise ValueError(f"tile_size must be a power of two, got {tile_size}.")
@@ -213,11 +199,7 @@ def list_pairs(
 
     Args:
         projected: as in ``bin_tiles``, as are all other arguments.
-        opacities: see there.
-        thermal_opacities: see there.
         nearest_first: from ``sort_gaussians``.
-        by_slot: see there.
-        room: see there.
     """
     grid = nearest_first.grid
     device, settings = opacities.device, grid.settings

@@ -70,7 +70,6 @@ def ranges_apart(
 
     Args:
         thermal_channels: channels blended a second time; 0 for one opacity.
-        absgrad: as in ``sums_apart``.
 
     Returns:
         The half-open ranges by what takes them, "features" or "rest", and without records also "means2d", "roots",

@@ -97,7 +97,6 @@ def sh_colors_adjoint(arrays: ColorArrays, settings: ColorSettings, *, store: bo
 
     Args:
         arrays: as ``sh_colors`` left them.
-        settings: as in ``sh_colors``.
         store: gradients of means and coefficients are not initialised, and written; else they are added to, as those
             of view matrices are.
     """

@@ -28,7 +28,8 @@ LEAST_ROOM = 32 << 20
 """Bytes that the disk must have free before anything is compiled: LLVM ends the process where it cannot write. The
 kernels of a training take 2 MB on the CPU."""
 
-_told_of_damage = False
+_told_of_damage: set[Path] = set()
+"""Caches of which it was told."""
 
 
 class StoredModule(NamedTuple):
@@ -118,7 +119,6 @@ class StoredModule(NamedTuple):
 
 
 def _tell_of_damage(folder: Path) -> None:
-    global _told_of_damage
-    if not _told_of_damage:
+    if folder.parent not in _told_of_damage:
         print(f"Compiled kernels are damaged, and are compiled again: {folder}", file=sys.stderr, flush=True)
-    _told_of_damage = True
+    _told_of_damage.add(folder.parent)

@@ -173,7 +173,6 @@ def make_motions_adjoint(
     """The adjoint of ``make_motions``.
 
     Args:
-        viewmats: as in ``make_motions``.
         v_motions: gradient to the motions; None: zeros.
         v_half_way: gradient to the poses half way; None: zeros.
         v_viewmats: mat44 [images], is written.

@@ -54,12 +54,7 @@ def project_gaussians(
 
 
 def seen_and_stored(settings: ProjectionSettings, projected: ProjectedArrays) -> list[Any]:
-    """Arguments that all forward kernels share, in their order: what is drawn, and where that is stored.
-
-    Args:
-        settings: as of ``project_gaussians``.
-        projected: likewise.
-    """
+    """Arguments that all forward kernels share, in their order: what is drawn, and where that is stored."""
     return [
         settings.width,
         settings.height,

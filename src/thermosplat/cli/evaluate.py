@@ -58,7 +58,6 @@ def _evaluate(arguments: EvalArguments) -> int:
         capture,
         loaded.config,
         sh_degree=loaded.sh_degree,
-        device=loaded.device,
         lpips=lpips,
         strips_dir=strips,
         csv_path=table,
@@ -69,7 +68,7 @@ def _evaluate(arguments: EvalArguments) -> int:
     for earlier in strips.glob("*.png"):
         if earlier.name not in shown:  # of frames that were held out at another time
             earlier.unlink()
-    coherent = coherence(loaded.model, judged.capture, sh_degree=loaded.sh_degree, device=loaded.device)
+    coherent = coherence(loaded.model, judged.capture, sh_degree=loaded.sh_degree)
     numbers = run.stats / f"eval_{name}.json"
     data = data_from_anywhere(arguments.data or loaded.config.data)
     recalculated = {"recalculated": temperatures.text} if temperatures.text else {}
@@ -90,7 +89,6 @@ def _evaluate(arguments: EvalArguments) -> int:
         judged.capture,
         loaded.step,
         loaded.sh_degree,
-        loaded.device,
         path=by_region,
         temperatures=temperatures,
     )

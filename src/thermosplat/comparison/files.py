@@ -134,7 +134,6 @@ def write_page(
     """Write index.html and its pictures.
 
     Args:
-        content: As of ``write_tables``.
         last: HTML of the chapter after those of the dates.
     """
     known = np.concatenate([one.values[np.isfinite(one.values)] for one in maps])

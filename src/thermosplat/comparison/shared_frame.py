@@ -19,6 +19,7 @@ from thermosplat.datasets.colmap.similarity import ransac_similarity, similarity
 from thermosplat.datasets.frame_tensors import view_tensors
 from thermosplat.errors import UserError
 from thermosplat.evaluation.loaded_run import LoadedRun
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.export.maps.map_frame import MapFrame
 from thermosplat.thermography.reprojection import coarse_view, resized, scene_points
 
@@ -105,8 +106,8 @@ def shared_frame(
 def _features(run: LoadedRun, capture: Capture, spectrum: str) -> Iterator[_Features]:
     """Features of some photographs, evenly chosen."""
     views = [frame.views[spectrum] for frame in (*capture.train, *capture.test) if spectrum in frame.views]
-    for number in np.unique(np.linspace(0, len(views) - 1, min(len(views), _MOST_VIEWS)).round().astype(int)):
-        yield _features_of(run, views[number], spectrum)
+    for view in evenly_chosen(views, _MOST_VIEWS):
+        yield _features_of(run, view, spectrum)
 
 
 def _features_of(run: LoadedRun, view: View, spectrum: str) -> _Features:

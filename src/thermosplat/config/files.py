@@ -70,7 +70,6 @@ def from_dict(
 
     Args:
         values: Nested dictionary as `to_dict` makes it.
-        notes: As ``without_gone_settings``'s.
 
     Raises:
         UserError: An unknown key, or a value of the wrong type or range.

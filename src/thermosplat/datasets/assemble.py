@@ -59,7 +59,6 @@ def assemble(
     Args:
         test_every: Period of the hold-out rule, where the folders do not divide the frames.
         lens: "undistort" resamples distorted images to pinhole images; "direct" leaves them as they were taken.
-        image_memory: As of ``TrainConfig``.
 
     Raises:
         UserError: Files are unreadable, of the wrong size, or not what `spectra` asks for.

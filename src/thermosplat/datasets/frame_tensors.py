@@ -182,7 +182,6 @@ def view_tensors(
 
     Args:
         scale: What its pixels mean; None: no intensity is wanted.
-        as_bytes: As of ``frame_tensors``.
     """
     held = view.pixels()
     stored = held.image if held.image.dtype == np.uint8 else held.image.astype(np.float32)

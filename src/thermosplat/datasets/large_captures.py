@@ -20,6 +20,7 @@ from thermosplat.datasets.lens import Lens
 from thermosplat.datasets.pixel_cache import PixelCache
 from thermosplat.datasets.stored_pixels import StoredPixels
 from thermosplat.errors import UserError
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.spectra import Source, SpectrumConfig, label
 
 GIGABYTE = 10**9
@@ -145,8 +146,7 @@ def sampled_frames(frames: Sequence[FrameFiles], spectra: Mapping[str, SpectrumC
     chosen: set[int] = set()
     for name, spectrum in spectra.items():
         having = [index for index, frame in enumerate(frames) if name in frame.shots]
-        count = min(SAMPLED, len(having))
-        chosen.update(having[round(place * (len(having) - 1) / max(count - 1, 1))] for place in range(count))
+        chosen.update(evenly_chosen(having, SAMPLED))
         if spectrum.source == "photograph":
             continue
         for found in (headers.display_of, headers.values_of):  # the first that has one, and the first that lacks it

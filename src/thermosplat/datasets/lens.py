@@ -131,7 +131,6 @@ def rectification(lens: Lens, width: int, height: int) -> Rectification:
     """How an image file of a given size becomes a pinhole image.
 
     Args:
-        lens: As of ``rectified_camera``.
         width: Width of the file's image [px].
         height: Height of the file's image [px].
     """

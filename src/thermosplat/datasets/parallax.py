@@ -46,6 +46,8 @@ def triangulation_angle(cameras: Sequence[Seen], points: NDArray[np.floating]) -
     Returns:
         The angle; None where no two cameras see a point.
     """
+    if len(cameras) < 2:
+        return None
     places = points[:: max(1, len(points) // _MOST_POINTS)].astype(np.float64)
     rays, inside = [], []
     for one in cameras:

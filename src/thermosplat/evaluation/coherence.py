@@ -39,9 +39,7 @@ class Coherence:
 
 
 @torch.no_grad()
-def coherence(
-    model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
-) -> dict[str, dict[str, float]]:
+def coherence(model: SceneModel, capture: Capture, *, sh_degree: int) -> dict[str, dict[str, float]]:
     """How coherent each two spectra are, by "first-second".
 
     Args:
@@ -50,7 +48,7 @@ def coherence(
     made = {}
     for pair in combinations(model.spectra, 2):
         taken = [frame.views.get(pair[1], frame.views.get(pair[0])) for frame in capture.test]
-        views = [without_pixels(view, device).as_pinhole() for view in taken if view is not None]
+        views = [without_pixels(view, model.device).as_pinhole() for view in taken if view is not None]
         found = []
         for view in views:
             images = model.render(dict.fromkeys(pair, view), sh_degree=sh_degree).images

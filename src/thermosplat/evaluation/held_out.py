@@ -103,7 +103,6 @@ def rendered_views(
     frame: Frame,
     scales: Mapping[str, PixelScale],
     sh_degree: int,
-    device: torch.device | str,
     temperatures: SceneTemperatures | None = None,
 ) -> Iterator[RenderedView]:
     """Render a frame; yields its spectra that are both modelled and photographed.
@@ -112,7 +111,8 @@ def rendered_views(
         temperatures: How measured values are recalculated; None: they are not.
     """
     # without the scale, so that no palette is inverted for the photographs: only renders are asked for intensities
-    views = {name: view_tensors(view, None, device) for name, view in frame.views.items() if name in model.spectra}
+    modelled = {name: view for name, view in frame.views.items() if name in model.spectra}
+    views = {name: view_tensors(view, None, model.device) for name, view in modelled.items()}
     groups = [[name for name in group if name in views] for group in frame.shared_cameras]
     rendered = model.render(views, sh_degree=sh_degree, shared_cameras=groups)
     for name, image in sorted(rendered.images.items(), key=lambda item: list(model.spectra).index(item[0])):
@@ -131,7 +131,6 @@ def evaluate(
     capture: Capture,
     *,
     sh_degree: int,
-    device: torch.device | str,
     lpips: Lpips | None = None,
     strips_dir: Path | None = None,
     csv_path: Path | None = None,
@@ -157,7 +156,7 @@ def evaluate(
     ranges = {} if strips_dir is None else {name: display_range(capture, name) for name in model.spectra}
     with background_writes() as write:
         for frame in read_ahead(capture.test):
-            results = list(rendered_views(model, frame, capture.scales, sh_degree, device, temperatures))
+            results = list(rendered_views(model, frame, capture.scales, sh_degree, temperatures))
             numbers = [_numbers(result, lpips) for result in results]
             by_class.add(results)
             rows += [{"frame": frame.name, "spectrum": r.spectrum, **values} for r, values in zip(results, numbers)]
@@ -182,7 +181,6 @@ def frame_comparisons(
     scales: Mapping[str, PixelScale],
     *,
     sh_degree: int,
-    device: torch.device | str,
     ranges: Mapping[str, tuple[float, float] | None] | None = None,
 ) -> dict[str, Comparison]:
     """Ground truth, render and error of one frame, by spectrum.
@@ -195,7 +193,7 @@ def frame_comparisons(
         result.spectrum: _comparison(
             result, _finite(psnr(result.image, result.target, result.mask)), shown.get(result.spectrum)
         )
-        for result in rendered_views(model, frame, scales, sh_degree, device)
+        for result in rendered_views(model, frame, scales, sh_degree)
     }
 
 

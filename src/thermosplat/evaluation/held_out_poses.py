@@ -53,7 +53,6 @@ def evaluate_refined(
     config: TrainConfig,
     *,
     sh_degree: int,
-    device: torch.device | str,
     lpips: Lpips | None = None,
     strips_dir: Path | None = None,
     csv_path: Path | None = None,
@@ -67,11 +66,11 @@ def evaluate_refined(
         capture: The capture with corrected cameras (``corrected_capture``).
         config: The run's; what it refines, and the weights of the image losses.
     """
-    how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "lpips": lpips, "temperatures": temperatures}
+    how: dict[str, Any] = {"sh_degree": sh_degree, "lpips": lpips, "temperatures": temperatures}
     if OF_FRAMES.isdisjoint(config.refine):
         return Judged(evaluate(model, capture, **how, strips_dir=strips_dir, csv_path=csv_path), capture)
     unrefined = evaluate(model, capture, **how)
-    motions = held_out_motions(model, capture, config, sh_degree=sh_degree, device=device)
+    motions = held_out_motions(model, capture, config, sh_degree=sh_degree)
     capture = with_moved_frames(capture, motions)
     metrics = evaluate(model, capture, **how, strips_dir=strips_dir, csv_path=csv_path)
     of_spectra = {name: unrefined[name] for name in model.spectra}
@@ -98,7 +97,6 @@ def held_out_motions(
     config: TrainConfig,
     *,
     sh_degree: int,
-    device: torch.device | str,
 ) -> dict[str, Tensor]:
     """How each held-out frame has to move to fit the scene.
 
@@ -113,10 +111,10 @@ def held_out_motions(
     found: dict[str, Tensor] = {}
     with _frozen(model):
         for frame in read_ahead(capture.test):
-            tensors = frame_tensors(frame, capture.scales, device).only(tuple(model.spectra))
+            tensors = frame_tensors(frame, capture.scales, model.device).only(tuple(model.spectra))
             if tensors.views and frame_moves(config.refine, frame, tuple(model.spectra)):
-                center = frame_center(frame).float().to(device)
-                basis = pose_basis(frame, capture.points, capture.scene_extent).to(device)
+                center = frame_center(frame).float().to(model.device)
+                basis = pose_basis(frame, capture.points, capture.scene_extent).to(model.device)
                 found[frame.name] = _best_motion(model, tensors, center, basis, config, sh_degree, capture.scene_extent)
     return found
 

@@ -74,7 +74,6 @@ def region_errors(
     capture: Capture,
     *,
     sh_degree: int,
-    device: torch.device | str,
     temperatures: SceneTemperatures | None = None,
 ) -> Regions | None:
     """Image and depth errors by region, over the held-out views that have ground truth.
@@ -95,8 +94,8 @@ def region_errors(
     for frame in capture.test:
         read = read_ground_truth(capture, frame)
         if read is not None:
-            found, truth = True, _Truth.on(device, read)
-            maps = _error_maps(model, capture, frame, truth, sh_degree, device, temperatures)
+            found, truth = True, _Truth.on(model.device, read)
+            maps = _error_maps(model, capture, frame, truth, sh_degree, temperatures)
             for name, mask in truth.masks().items():
                 samples[name].add(mask, maps)
     return {name: of_region.numbers() for name, of_region in samples.items() if of_region.pixels} if found else None
@@ -108,7 +107,6 @@ def write_regions(
     capture: Capture,
     steps: int,
     sh_degree: int,
-    device: torch.device | str,
     *,
     path: Path | None = None,
     temperatures: SceneTemperatures | None = None,
@@ -117,9 +115,8 @@ def write_regions(
 
     Args:
         path: Another file in place of regions.json.
-        temperatures: As of ``region_errors``.
     """
-    regions = region_errors(model, capture, sh_degree=sh_degree, device=device, temperatures=temperatures)
+    regions = region_errors(model, capture, sh_degree=sh_degree, temperatures=temperatures)
     if regions is not None:
         run.write_json(path or run.regions_json, {"steps": steps, "regions": regions})
     return regions
@@ -164,12 +161,11 @@ def _error_maps(
     frame: Frame,
     truth: _Truth,
     sh_degree: int,
-    device: torch.device | str,
     temperatures: SceneTemperatures | None,
 ) -> Maps:
     return {
         view.spectrum: _image_errors(view) | _depth_errors(model, view, truth)
-        for view in rendered_views(model, frame, capture.scales, sh_degree, device, temperatures)
+        for view in rendered_views(model, frame, capture.scales, sh_degree, temperatures)
     }
 
 

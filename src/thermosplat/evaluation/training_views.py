@@ -34,9 +34,7 @@ def one_color_error(targets: list[Tensor]) -> float:
 
 
 @torch.no_grad()
-def training_views(
-    model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
-) -> dict[str, dict[str, float]]:
+def training_views(model: SceneModel, capture: Capture, *, sh_degree: int) -> dict[str, dict[str, float]]:
     """PSNR of some training views [dB], and what the best single colour has, by spectrum.
 
     Args:
@@ -45,7 +43,7 @@ def training_views(
     errors: dict[str, list[float]] = {}
     targets: dict[str, list[Tensor]] = {}
     for frame in capture.train[:: -(-len(capture.train) // LOOKED_AT)]:
-        for view in rendered_views(model, frame, capture.scales, sh_degree, device):
+        for view in rendered_views(model, frame, capture.scales, sh_degree):
             graded = model.formations[view.spectrum].graded_truth
             target = graded(view.target)
             errors.setdefault(view.spectrum, []).append((graded(view.counted) - target).square().mean().item())

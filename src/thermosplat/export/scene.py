@@ -68,7 +68,6 @@ def write_scene(
     """Write ``splat_<spectrum>.ply`` for each spectrum, side by side; in any thread, as it does not touch the model.
 
     Args:
-        compact: As ``formats.ply.write_splats``.
         scalars: Further properties by spectrum (``formats.ply.write_splats``).
         frame: Where positions count from; an origin is told in a file beside the others.
     """

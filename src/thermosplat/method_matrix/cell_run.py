@@ -47,7 +47,7 @@ def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) 
     on_cuda = trainer.device.type == "cuda"
     peak = torch.cuda.max_memory_allocated(trainer.device) if on_cuda else None
     model, sh_degree = trainer.model.eval(), trainer.sh_degree
-    write_panels(folder, model, trainer.corrected_capture(), sh_degree=sh_degree, device=trainer.device)
+    write_panels(folder, model, trainer.corrected_capture(), sh_degree=sh_degree)
     result = CellResult(
         scene=cell.scene,
         method=cell.method,
@@ -58,9 +58,7 @@ def _made(cell: Cell, config: TrainConfig, folder: Path, keep_checkpoint: bool) 
         model_bytes=metrics["model_bytes"],
         train_minutes=metrics["train_seconds"] / 60.0,
         peak_memory_bytes=peak,
-        frames_per_second=frames_per_second(
-            model, trainer.corrected_capture(), sh_degree=sh_degree, device=trainer.device
-        ),
+        frames_per_second=frames_per_second(model, trainer.corrected_capture(), sh_degree=sh_degree),
         device=metrics["device"],
         lpips_net=metrics["lpips_net"],
         settings=settings(config),
@@ -99,7 +97,7 @@ LEAST_SECONDS = 1.0
 
 
 @torch.no_grad()
-def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device) -> float:
+def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int) -> float:
     """Held-out frames rendered a second, each with all modelled spectra, at the size of its images.
 
     Every frame is rendered once before the clock starts. Nothing is copied back from the device.
@@ -107,6 +105,7 @@ def frames_per_second(model: SceneModel, capture: Capture, *, sh_degree: int, de
     Args:
         capture: Its capture; ``capture.test`` is rendered.
     """
+    device = model.device
     frames = [
         FrameTensors(f.name, {name: without_pixels(v, device) for name, v in f.views.items()}, f.shared_cameras)
         for f in capture.test

@@ -3,7 +3,6 @@
 Where the capture brings ground truth, also the true and the rendered depth of each spectrum.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from thermosplat.datasets.capture import Capture, Frame
+from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.frame_tensors import without_pixels
 from thermosplat.datasets.ground_truth import GroundTruth, read_ground_truth
 from thermosplat.errors import UserError
 from thermosplat.evaluation.held_out import file_stem, frame_comparisons
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.method_matrix.cell_result import read_json, write_json
 from thermosplat.pictures.image_display import Image8, depth_bytes, error_bytes, read_png, write_png
 from thermosplat.runs.atomic_writes import plain_folder
@@ -46,25 +46,15 @@ class Panels:
     """What the ends of the depths' palette stand for, e.g. "0.8 to 4.4"."""
 
 
-def shown_frames(frames: Sequence[Frame]) -> list[Frame]:
-    """The frames that are kept, the same ones for every method."""
-    if len(frames) <= FRAMES:
-        return list(frames)
-    return [frames[round(index * (len(frames) - 1) / (FRAMES - 1))] for index in range(FRAMES)]
-
-
 @torch.no_grad()
-def write_panels(
-    folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int, device: torch.device | str
-) -> None:
+def write_panels(folder: Path, model: SceneModel, capture: Capture, *, sh_degree: int) -> None:
     """Render the kept frames and write their pictures."""
     index: list[dict[str, Any]] = []
     pictures = plain_folder(folder, FOLDER)
-    for frame in shown_frames(capture.test):
+    for frame in evenly_chosen(capture.test, FRAMES):
         truth = read_ground_truth(capture, frame)
         ranges = {name: display_range(capture, name) for name in model.spectra}
-        how: dict[str, Any] = {"sh_degree": sh_degree, "device": device, "ranges": ranges}
-        comparisons = frame_comparisons(model, frame, capture.scales, **how)
+        comparisons = frame_comparisons(model, frame, capture.scales, sh_degree=sh_degree, ranges=ranges)
         for spectrum, comparison in comparisons.items():
             stem = f"{file_stem(frame.name)}_{spectrum}"
             write_png(pictures / f"{stem}_truth.png", comparison.truth)
@@ -78,7 +68,7 @@ def write_panels(
             }
             span = None if truth is None or spectrum not in truth.depths else _depth_span(truth)
             if truth is not None and span is not None:
-                camera = without_pixels(frame.views[spectrum], device)
+                camera = without_pixels(frame.views[spectrum], model.device)
                 depth = model.render_depth(spectrum, camera).cpu().numpy()
                 write_png(pictures / f"{stem}_true_depth.png", depth_bytes(truth.depths[spectrum], *span))
                 write_png(pictures / f"{stem}_depth.png", depth_bytes(depth, *span))

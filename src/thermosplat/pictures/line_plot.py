@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.pictures.color_bar import tick_labels, tick_values
 
 Line = Sequence[tuple[float, float]]
@@ -31,7 +32,8 @@ def line_plot(title: str, lines: Mapping[str, Line], *, across: str = "step", do
     Returns:
         SVG; "" where no line has a point.
     """
-    shown = {name: _thinned(line) for name, line in lines.items() if any(math.isfinite(y) for _, y in line)}
+    lines = {name: line for name, line in lines.items() if any(math.isfinite(y) for _, y in line)}
+    shown = {name: evenly_chosen(line, MOST_POINTS) for name, line in lines.items()}
     if not shown:
         return ""
     xs = [x for line in shown.values() for x, _ in line]
@@ -78,13 +80,6 @@ def _pieces(line: Line) -> list[Line]:
     """The parts of a line between its breaks."""
     groups = groupby(line, key=lambda point: math.isfinite(point[1]))
     return [list(points) for finite, points in groups if finite]
-
-
-def _thinned(line: Line) -> Line:
-    """At most ``MOST_POINTS`` points, evenly taken, the last among them."""
-    if len(line) <= MOST_POINTS:
-        return line
-    return [line[round(index * (len(line) - 1) / (MOST_POINTS - 1))] for index in range(MOST_POINTS)]
 
 
 def _widened(low: float, high: float, share: float) -> tuple[float, float]:

@@ -33,7 +33,6 @@ def grouped(
             branch: with 16 bits, and [N, K, D] for all scenes.
         sh_degree: Active degree; None: values are blended as they are, in one group.
         means: [..., N, 3], whose type and scenes coefficients get.
-        clamped: As in ``BlendedValues``.
     """
     if sh_degree is None:
         return {name: BlendedValues(values, None, clamped)}
@@ -81,8 +80,6 @@ def check_values(name: str, values: Any, sh_degree: int | None, means: Tensor, c
     """Checks what is blended.
 
     Args:
-        values: as in ``BlendedValues``.
-        sh_degree: likewise.
         means: [..., N, 3].
         cameras: C.
 

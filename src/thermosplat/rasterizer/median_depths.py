@@ -34,9 +34,6 @@ def median_depths(scene: ProjectedScene) -> Tensor:
 def covered_depths(scene: ProjectedScene) -> tuple[Tensor, Tensor]:
     """Median depths, and which pixels the Gaussians cover.
 
-    Args:
-        scene: As of ``median_depths``.
-
     Returns:
         Median depths; where the accumulated opacity is a half or more, bool. Both [..., C, H, W].
     """

@@ -117,6 +117,11 @@ class SceneModel(nn.Module):
         return self.config.feature_dim > 0
 
     @property
+    def device(self) -> torch.device:
+        """Where the scene lies."""
+        return next(self.gaussian_sets.parameters()).device
+
+    @property
     def num_gaussians(self) -> int:
         """Gaussians in all sets together."""
         return sum(len(self.gaussians(name)) for name in self.gaussian_sets)
@@ -237,7 +242,6 @@ class SceneModel(nn.Module):
             spectrum: Its opacity weighs the Gaussians; with separate sets, its own set.
             view: Camera and pose.
             expected: The mean Σ w z / Σ w in place of the median: by it a pixel moves when the camera does.
-            distributed: As in ``render``.
         """
         if not expected:
             return self.render_surface(spectrum, view, distributed=distributed)[0]
@@ -252,7 +256,6 @@ class SceneModel(nn.Module):
         Args:
             spectrum: Its opacity weighs the Gaussians; with separate sets, its own set.
             view: Camera and pose.
-            distributed: As in ``render``.
         """
         gaussians = self.gaussians(self.set_of(spectrum))
         how = Rendering(0, False, self.pixel_filter, None, distributed=distributed)

@@ -30,7 +30,9 @@ def pixel_intensity(image: Tensor, scale: PixelScale) -> Tensor:
         return pixels[..., 0]
     if pixels.device.type == "cpu":
         return torch.from_numpy(scale.palette.to_intensity(pixels.numpy()))
-    return _inverted(pixels, scale.palette)
+    curve = _curve_on(scale.palette, pixels.device)
+    intensity, _ = nearest_points(pixels.float().reshape(-1, 3).T.contiguous(), curve, torch)  # all pixels at once
+    return intensity.reshape(pixels.shape[:-1])
 
 
 def palette_colors(intensity: Tensor, palette: Palette) -> Tensor:
@@ -48,13 +50,6 @@ def palette_colors(intensity: Tensor, palette: Palette) -> Tensor:
     segment = position.long().clamp(max=len(colors) - 2)
     fraction = (position - segment)[..., None]
     return colors[segment] * (1 - fraction) + colors[segment + 1] * fraction
-
-
-def _inverted(colors: Tensor, palette: Palette) -> Tensor:
-    """As ``Palette.to_intensity``, on the colours' device, which takes all pixels at once."""
-    curve = _curve_on(palette, colors.device)
-    intensity, _ = nearest_points(colors.float().reshape(-1, 3).T.contiguous(), curve, torch)
-    return intensity.reshape(colors.shape[:-1])
 
 
 @functools.lru_cache(maxsize=8)

@@ -44,7 +44,6 @@ def host_rows(shape: tuple[int, ...], device: torch.device) -> Tensor:
 
     Args:
         shape: Its extents, [N, ...].
-        device: As in ``host_empty``.
     """
     length = math.prod(shape[1:])
     return _view(host_empty((shape[0], -(-length // LINE) * LINE), device), shape, 1)
@@ -72,7 +71,6 @@ def in_host_rows(values: Tensor, device: torch.device | str) -> Tensor:
 
     Args:
         values: float32, anywhere.
-        device: As in ``host_empty``.
 
     Returns:
         The tensor itself where it is one; else a copy.
@@ -90,7 +88,6 @@ def zero_pair(shape: tuple[int, ...], device: torch.device) -> Pair:
 
     Args:
         shape: Of each, [N, ...].
-        device: As in ``host_empty``.
     """
     pair = _empty_pair(shape, device)
     pair.buffer.zero_()
@@ -102,8 +99,6 @@ def paired(first: Tensor, second: Tensor, device: torch.device | str) -> Pair:
 
     Args:
         first: float32, anywhere.
-        second: As ``first``.
-        device: As in ``host_empty``.
 
     Returns:
         These tensors where they are a pair; else copies.

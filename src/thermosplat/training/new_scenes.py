@@ -55,11 +55,7 @@ class NewScenes:
         return () if note is None else (note,)
 
     def first(self, checkpoint: Checkpoint | None) -> SceneModel:
-        """The scene that a run begins or goes on with.
-
-        Args:
-            checkpoint: As of ``made``.
-        """
+        """The scene that a run begins or goes on with."""
         config = self._config
         return self.made(of_passes(config) if finds_cameras(config) else config, checkpoint)
 

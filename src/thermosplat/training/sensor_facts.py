@@ -89,7 +89,6 @@ def by_noise(
     Args:
         spectrum: The settings, which noise decides.
         noise: Standard deviation, of what most values span.
-        blur_is_known: As of ``SensorFacts.fitted``.
     """
     share, said = min(noise / NOISY_SENSOR, 1.0), []
     if spectrum.loss > 1:

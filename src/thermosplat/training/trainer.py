@@ -91,7 +91,6 @@ class Trainer:
         config: TrainConfig,
         capture: Capture,
         run: RunDirectory,
-        logger: RunLogger | None = None,
         team: Team | None = None,
     ) -> "Trainer":
         """Go on from the newest checkpoint of a run; on the CPU, with the same numbers as if it had never stopped.
@@ -101,14 +100,14 @@ class Trainer:
         Args:
             config: The run's configuration; rates, schedule and device may differ from the first time, the model not.
             capture: The same capture as the first time.
-            logger: What tells the user; None for the default one.
             team: The ranks; None: this process alone.
 
         Raises:
             UserError: If there is no checkpoint, or it is of another model or capture than is asked for.
         """
         team = Team.of_one(choose_device(config.device)) if team is None else team
-        return cls(config, capture, run, logger, share_to_go_on_from(config, capture, run, team), team)
+        checkpoint = share_to_go_on_from(config, capture, run, team)
+        return cls(config, capture, run, checkpoint=checkpoint, team=team)
 
     @property
     def model(self) -> SceneModel:

@@ -95,7 +95,6 @@ class Viewer:
         host: Address to serve at. Other than this machine's own, the page's address has a token.
         port: Port to begin with; the next free one is taken.
         watch: The training that goes on; None: nobody changes the scene.
-        bookmarks: Those that there are already.
 
     Raises:
         UserError: viser is not installed, the address cannot be served at, or the file of bookmarks is none.
@@ -109,10 +108,9 @@ class Viewer:
         host: str = "127.0.0.1",
         port: int = DEFAULT_PORT,
         watch: TrainingWatch | None = None,
-        bookmarks: list[Bookmark] | None = None,
     ) -> None:
         turns = OneAtATime() if watch is None else watch.turns
-        self.shared = Shared(LayerRenderer(scene), folder, turns, watch, bookmarks or [])
+        self.shared = Shared(LayerRenderer(scene), folder, turns, watch)
         self.visitors: dict[int, Visitor] = {}
         self._changing = threading.Lock()
         self._door = Door(host, {"probe": self._probe, "wipe": self._wipe, "over": self._over})

@@ -293,7 +293,6 @@ def image_layer(
 
     Args:
         image: Shape [H, W, C].
-        values: As of ``LayerRenderer.render``.
         valid: Mask [H, W] of the pixels that are there; None: all.
         temperatures: How temperatures are recalculated; None: they are not.
         shown: Values at the palette's ends; None: those that 0 and 1 stand for.

@@ -121,7 +121,6 @@ def save_measurements(folder: Path, stem: str, pages: Pages, picture: Image8) ->
 
     Args:
         pages: The measurements. Numbers are not rounded.
-        picture: As of ``marked_picture``.
 
     Returns:
         The CSV file and the PNG file.

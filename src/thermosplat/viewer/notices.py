@@ -23,11 +23,14 @@ class Notices(logging.Handler):
 
     Args:
         clock: What tells the time [s].
+
+    Attributes:
+        clock: As given.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(logging.WARNING)
-        self._clock = clock
+        self.clock = clock
         self._saying = threading.Lock()
         self._free_at = -AT_ONCE * SECONDS
         self._left_out = 0
@@ -39,7 +42,7 @@ class Notices(logging.Handler):
             text: What; control characters and letters beyond ASCII become escapes.
         """
         with self._saying:
-            now = self._clock()
+            now = self.clock()
             self._free_at = max(self._free_at, now - AT_ONCE * SECONDS)
             if self._free_at + SECONDS > now:
                 self._left_out += 1

@@ -4,7 +4,7 @@ import math
 
 TARGET_SECONDS = 0.12
 """For one picture while the camera moves: eight a second, above the five at which motion is still followed."""
-LEAST_PIXELS = 96 * 54
+FIRST_PIXELS, LEAST_PIXELS = 320 * 180, 96 * 54
 _STEEPEST = 4.0
 """Factor by which the number of pixels changes from one picture to the next at most."""
 
@@ -14,12 +14,11 @@ class Pace:
 
     Args:
         target: Seconds per picture.
-        pixels: To begin with.
     """
 
-    def __init__(self, target: float = TARGET_SECONDS, pixels: float = 320 * 180) -> None:
+    def __init__(self, target: float = TARGET_SECONDS) -> None:
         self.target = target
-        self.pixels = pixels
+        self.pixels: float = FIRST_PIXELS
         self._seconds_per_pixel = 0.0
 
     def size(self, width: int, height: int) -> tuple[int, int]:

@@ -11,6 +11,7 @@ import yaml
 from numpy.typing import NDArray
 
 from camera_folders import centikelvin, scene, write_photograph, write_two_cameras, write_values
+from thermosplat.datasets.colmap.model import ColmapModel
 from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.lens import Lens
 from thermosplat.errors import UserError
@@ -222,7 +223,9 @@ def test_images_are_held_against_the_registered_camera(
     lens = Lens("PINHOLE", (60.0, 60.0, 32.0, 32.0), 64, 64)
     warp = PlaneWarp(lens, lens, turned_pose(camera), 2.0)
     monkeypatch.setattr(module, "find_model", lambda _: capture.root)
-    monkeypatch.setattr(module, "_model_findings", lambda _: [])
+    monkeypatch.setattr(
+        module, "read_model", lambda folder: ColmapModel(folder, (), np.zeros((0, 3)), np.zeros((0, 3)))
+    )
     monkeypatch.setattr(module, "read_warps", lambda _, names: dict.fromkeys(names, warp))
     monkeypatch.setattr(module, "orientation_as_registered", lambda *_: changed)
     found = [one for one in check(capture).sentences if "turned" in one]

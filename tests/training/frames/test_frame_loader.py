@@ -6,6 +6,7 @@ import re
 import signal
 import time
 from collections.abc import Iterator, Sequence
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.kept_images import forget_images, keep_images
 from thermosplat.datasets.stored_pixels import ImageLostError, StoredPixels
 from thermosplat.errors import UserError
-from thermosplat.training.frames import frame_loader, reading_processes
+from thermosplat.training.frames import frame_loader
 from thermosplat.training.frames.frame_loader import (
     SPARE_SLOTS,
     FrameLoader,
@@ -27,7 +28,7 @@ from thermosplat.training.frames.frame_loader import (
     num_processes,
     stored_views,
 )
-from thermosplat.training.frames.frame_slots import places_in_slot, slot_bytes
+from thermosplat.training.frames.frame_slots import FrameSlots, places_in_slot, slot_bytes
 from thermosplat.training.frames.reading_processes import ReadingProcesses
 
 ORDER = [5, 2, 7, 2, 0, 1, 9, 4, 3, 8, 6, 5]
@@ -248,21 +249,27 @@ def test_a_mistake_of_the_program(loader: FrameLoader, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("begins_after", [0.0, 0.2])
-def test_signals_leave_them_alone(loader: FrameLoader, begins_after: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signals_leave_them_alone(frames: Stored, begins_after: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C goes to all processes of a terminal, also to one that was just forked; the one that trains decides."""
-    run = reading_processes._Work.run
+    run = ForkProcess.run
 
-    def late(work: object) -> None:
+    def late(process: ForkProcess) -> None:
         time.sleep(begins_after)
-        run(work)
+        run(process)
 
-    monkeypatch.setattr(reading_processes._Work, "run", late)
-    loader._begin(0, ORDER.__getitem__, len(ORDER))
-    for process in loader.reading.processes:
+    monkeypatch.setattr(ForkProcess, "run", late)
+    reading = ReadingProcesses(frames, FrameSlots(len(ORDER), max(map(slot_bytes, frames))), 2, keep_maps=True)
+    for process in reading.processes:
         os.kill(process.pid, signal.SIGINT)
         os.kill(process.pid, signal.SIGHUP)
-    go_through(loader, ORDER, start=0)
-    assert all(process.is_alive() for process in loader.reading.processes)
+    for slot, index in enumerate(ORDER):
+        reading.ask(slot, index)
+    answers: list[tuple[int, ImageLostError | None]] = []
+    while len(answers) < len(ORDER):
+        answers += reading.answered(wait=True)
+    assert sorted(answers) == [(slot, None) for slot in range(len(ORDER))]
+    assert all(process.is_alive() for process in reading.processes)
+    reading.close()
 
 
 SCRIPT = """

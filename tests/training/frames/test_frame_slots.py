@@ -1,5 +1,6 @@
 """Where pixels lie in the memory that processes share."""
 
+import mmap
 import os
 from pathlib import Path
 
@@ -86,10 +87,10 @@ def test_they_are_pinned_for_copies() -> None:
 def test_memory_that_cannot_be_pinned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Copies work as well, and the error is not told to somebody else later."""
     device = torch.device("cuda", 0)
-    slots = FrameSlots(1, 1 << 20)
-    slots.pin(device)
-    again = FrameSlots(1, 1 << 20)
-    again._bytes = slots._bytes  # pinned already: CUDA refuses it
+    memory = mmap.mmap(-1, 1 << 20)
+    monkeypatch.setattr(mmap, "mmap", lambda *_: memory)
+    slots, again = FrameSlots(1, 1 << 20), FrameSlots(1, 1 << 20)
+    slots.pin(device)  # so that CUDA refuses to pin the same memory again
     again.pin(device)
     assert not again.is_pinned
     assert torch.ones(3, device=device).sum().item() == 3

@@ -1,7 +1,9 @@
 """Frames from the disk are those that are in memory, in any order, on any device."""
 
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -10,6 +12,7 @@ from capture_folders import rgb_image, spectra_with, write_image, write_rgbt_sce
 from thermosplat.datasets import load_capture
 from thermosplat.datasets.frame_tensors import FrameTensors, with_unit_images
 from thermosplat.datasets.stored_pixels import ImageLostError
+from thermosplat.training.frames.frame_loader import ReadFrame
 from thermosplat.training.frames.frames_from_disk import COPIED_AHEAD
 from thermosplat.training.frames.train_frames import TrainFrames
 
@@ -121,24 +124,39 @@ def test_it_goes_on_after_a_lost_image(root: Path, device: torch.device) -> None
 
 
 @pytest.mark.cuda
-def test_frames_are_on_the_device_before_their_steps(root: Path) -> None:
+def test_frames_are_on_the_device_before_their_steps(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where they were read: their bytes lie in the device's slots, and the host's are given back."""
     device = torch.device("cuda", 0)
     read = TrainFrames(load_capture(root, image_memory=LITTLE), ("rgb", "thermal"), device)
     order = 100 * ORDER
     disk = read.from_disk
     assert disk is not None
-    assert disk.copies is not None
+    at, release = disk.loader.at, disk.loader.release
+    copied: list[int] = []
+    held: weakref.WeakSet[ReadFrame] = weakref.WeakSet()
+
+    def noted(*arguments: Any) -> ReadFrame:
+        frame = at(*arguments)
+        assert frame.pixels.is_pinned()
+        copied.append(frame.place)
+        held.add(frame)
+        return frame
+
+    def given_back(frame: ReadFrame) -> None:
+        held.discard(frame)
+        release(frame)
+
+    monkeypatch.setattr(disk.loader, "at", noted)
+    monkeypatch.setattr(disk.loader, "release", given_back)
     for place in range(200):
         read.at(place, order.__getitem__, len(order))
-        assert len(disk.copies._copies) <= COPIED_AHEAD
-        assert len(disk.copies._under_way) <= COPIED_AHEAD
+        assert copied == list(range(len(copied)))  # each once
+        assert place < len(copied) <= place + 1 + COPIED_AHEAD
+        assert len(held) <= COPIED_AHEAD
         torch.cuda.synchronize()
-    assert disk.loader._slots is not None
-    assert disk.loader._slots.is_pinned
     allocated = torch.cuda.memory_allocated()
     for place in range(200, 400):
         read.at(place, order.__getitem__, len(order))
     assert torch.cuda.memory_allocated() == allocated
     read.close()
-    assert not disk.copies._under_way
+    assert not held

@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -78,13 +79,18 @@ def test_one_file_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("call", ["tell_failure", "wait", "beginning", "write"])
 def test_failure_is_told_once_by_the_next_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
     """A full disk is said by whichever call is next, which does its own work all the same."""
-    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", fail)
+    begun = threading.Event()
+
+    def begin_to_fail(path: Path, state: dict[str, Any]) -> Path:
+        begun.set()
+        return fail(path, state)
+
+    monkeypatch.setattr(checkpoint_writer, "save_checkpoint", begin_to_fail)
     said: list[str] = []
     means, writer = torch.tensor(1.0), CheckpointWriter(said.append)
     with writer.beginning(tmp_path / "1.pt", {"means": means}):
         pass
-    assert writer._writing is not None
-    writer._writing.exception(10)
+    assert begun.wait(10)
     monkeypatch.undo()
     arguments = (tmp_path / "2.pt", {"means": means})
     calls: dict[str, Callable[[], object]] = {
@@ -93,7 +99,11 @@ def test_failure_is_told_once_by_the_next_call(tmp_path: Path, monkeypatch: pyte
         "beginning": lambda: ExitStack().enter_context(writer.beginning(*arguments)),
         "write": lambda: writer.write(*arguments),
     }
+    until = time.monotonic() + 10
     calls[call]()
+    while call == "tell_failure" and not said and time.monotonic() < until:  # it waits for no write
+        calls[call]()
+    assert len(said) == 1
     writer.tell_failure()
     writer.wait()
     assert said == [f"Could not write {tmp_path / '1.pt'}: No space left on device. Training goes on without it."]

@@ -190,16 +190,14 @@ def grid_kernel(
 
 
 @pytest.mark.parametrize("dims", [((2, 3), (4, 1), (1, 1), (2, 3)), ((3, 2), (5, 4))])
-def test_a_resized_launch_is_what_warp_makes_of_it(dims: tuple[tuple[int, int], ...]) -> None:
-    """The same bytes as after Warp's own ``set_dim``, and every thread once."""
+def test_a_resized_launch_has_every_thread_once(dims: tuple[tuple[int, int], ...]) -> None:
+    """Of more and of fewer rows and columns than before."""
     most = np.max(dims, axis=0)
     found = wp.zeros((int(most[0]), int(most[1])), dtype=wp.int32, device="cpu")
-    recorded, ours = (RecordedLaunch(grid_kernel, dims[0], [found], found.device, 256) for _ in range(2))
+    recorded = RecordedLaunch(grid_kernel, dims[0], [found], found.device, 256)
     for rows, columns in dims:
         found.zero_()
-        ours.launch((rows, columns), [found])
-        recorded._command.set_dim((rows, columns))
-        assert bytes(ours._command.bounds) == bytes(recorded._command.bounds)
+        recorded.launch((rows, columns), [found])
         expected = np.zeros(found.shape, np.int32)
         expected[:rows, :columns] = 1
         assert (found.numpy() == expected).all()

@@ -9,12 +9,11 @@ import pytest
 import warp as wp
 
 from forked_processes import run_python
+from fresh_kernels import fresh_kernel
 from warp_kernels.machinery import loading
 from warp_kernels.machinery.launching import launch
 from warp_kernels.machinery.loading import KernelCacheError, first_use, made_once, must_compile
 from warp_kernels.machinery.stored_modules import StoredModule
-
-Captured = pytest.CaptureFixture[str]
 
 
 @wp.kernel(enable_backward=False, module="unique")
@@ -98,44 +97,47 @@ def test_loaded_kernels_take_no_lock() -> None:
     assert (array.numpy() == 9).all()
 
 
-@pytest.mark.parametrize(("compiled", "slow", "told"), [(False, 0.01, 1), (False, 60.0, 0), (True, 0.01, 0)])
-def test_slow_compiling_is_told(
-    compiled: bool, slow: float, told: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
+LOADS_TWO_KERNELS = """
+import sys, time
+import warp as wp
+from fresh_kernels import fresh_kernel, works
+from warp_kernels.machinery import loading
+wp.init()
+wp.config.kernel_cache_dir, loading.SLOW = sys.argv[1], float(sys.argv[2])
+for kernel in (fresh_kernel(), fresh_kernel()):
+    with loading.first_use(kernel, wp.get_device("cpu"), 256):
+        time.sleep(0.2)
+        kernel.module.load("cpu", block_dim=1)
+    assert works(kernel)
+"""
+
+
+def test_slow_compiling_is_told(tmp_path: Path) -> None:
     """Once, and neither where it is quick nor where a kernel is only loaded."""
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    monkeypatch.setattr(loading, "SLOW", slow)
-    monkeypatch.setattr(loading, "_quiet_until", 0.0)
-    monkeypatch.setattr(loading, "_loaded", set())
-    monkeypatch.setattr(StoredModule, "is_whole", lambda _: compiled)
-    lines: list[str] = []
-    for kernel in (double_kernel, triple_kernel):
-        with first_use(kernel, wp.get_device("cpu"), 256):
-            time.sleep(0.05)
-            while len(lines) < told:
-                time.sleep(0.01)
-                lines += capsys.readouterr().err.splitlines()
-    lines += capsys.readouterr().err.splitlines()
-    assert len(lines) == told
-    assert all(line.startswith("Compiling kernels") and "double_kernel" in line for line in lines)
+    for cache, slow, told in (("a", 60.0, 0), ("a", 0.01, 0), ("b", 0.01, 1)):
+        done = run_python("-c", LOADS_TWO_KERNELS, tmp_path / cache, slow)
+        assert done.returncode == 0, done.stderr
+        lines = [line for line in done.stderr.splitlines() if not line.startswith("Warp ")]
+        assert len(lines) == told
+        assert all(line.startswith("Compiling kernels") and "add_kernel" in line for line in lines)
 
 
 def test_files_that_cannot_be_read_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Warp itself says of a compiled file only that loading failed; other errors stay what they are."""
     device = wp.get_device("cpu")
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    monkeypatch.setattr(loading, "_loaded", set())
-    with pytest.raises(ZeroDivisionError), first_use(double_kernel, device, 256):
+    kernel = fresh_kernel()
+    with pytest.raises(ZeroDivisionError), first_use(kernel, device, 256):
         raise ZeroDivisionError
 
     def refuse(module: StoredModule) -> bool:
         raise PermissionError(errno.EACCES, "Permission denied", str(module.folder / module.names[0]))
 
     monkeypatch.setattr(StoredModule, "is_whole", refuse)
-    with pytest.raises(KernelCacheError, match=r"Permission denied .*\.o"), first_use(double_kernel, device, 256):
+    with pytest.raises(KernelCacheError, match=r"Permission denied .*\.o"), first_use(kernel, device, 256):
         pass
     with pytest.raises(KernelCacheError, match=r"Permission denied .*\.o"):
-        must_compile([double_kernel], device)
+        must_compile([kernel], device)
 
 
 CACHE_IS_NO_FOLDER = """

@@ -143,11 +143,13 @@ def missing_model(root: Path) -> UserError:
 
 def _reconstruction(folder: Path) -> tuple[pycolmap.Reconstruction, dict[int, str]]:
     """The model, and of a text model the names of its images by their numbers."""
-    damage, remedy = damage_before_reading(folder), "Make the model again (colmap mapper), or copy all its files."
+    # on missing files, and on binary ones that their records do not fill, some pycolmap hangs or takes all memory
+    damage = _special(folder) or _missing(folder) or wrong_lengths(folder)
+    remedy = "Make the model again (colmap mapper), or copy all its files."
     error: Exception | None = None
     if damage is None:
         try:
-            if is_binary(folder):
+            if all((folder / f"{name}.bin").is_file() for name in _NEEDED):  # those pycolmap prefers to text
                 return pycolmap.Reconstruction(folder), {}
             with TemporaryDirectory() as plain:
                 names = write_plain(folder, Path(plain))
@@ -207,16 +209,6 @@ def _viewmat(image: pycolmap.Image, name: PurePosixPath, folder: Path) -> NDArra
 
 _NEEDED = ("cameras", "images", "points3D")
 _RIG = ("rigs", "frames")
-
-
-def is_binary(folder: Path) -> bool:
-    """Whether pycolmap would read the binary files of a folder, rather than those of text."""
-    return all((folder / f"{name}.bin").is_file() for name in _NEEDED)
-
-
-def damage_before_reading(folder: Path) -> str | None:
-    """Missing files, and binary files that their records do not fill: on some pycolmap hangs or takes all memory."""
-    return _special(folder) or _missing(folder) or wrong_lengths(folder)
 
 
 def reason_of(error: Exception) -> str:

@@ -30,9 +30,6 @@ def named_images(images: Sequence[RegisteredImage], folders: Collection[str]) ->
     """Registered images, to be found by the names of files, or by bare file stem where that is unambiguous.
 
     RGBT-Scenes needs the second: its model may name images of a folder that no longer exists.
-
-    Args:
-        folders: As ``folders_of`` has them.
     """
     named = [(image.name, image) for image in images]
     return NamedImages("the COLMAP model", named, same_files=True, by_stem=True, folders=folders)

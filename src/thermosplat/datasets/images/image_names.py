@@ -61,7 +61,6 @@ def frame_names(names: Sequence[PurePosixPath], where: str, folders: Collection[
 
     Args:
         where: What holds them, for the message.
-        folders: As ``folders_of`` has them.
 
     Raises:
         UserError: Two would be called the same with that.

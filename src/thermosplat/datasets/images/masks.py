@@ -68,11 +68,6 @@ def read_mask(path: Path, width: int, height: int) -> Mask:
             f"The mask {path} is {mask.shape[1]}x{mask.shape[0]}, and its image {width}x{height}: another aspect.",
             "Make it anew from that image, or remove it.",
         )
-    return resized_mask(mask, width, height)
-
-
-def resized_mask(mask: Mask, width: int, height: int) -> Mask:
-    """A mask at another size: a pixel counts that nothing black touches."""
     return whole_pixels(resize(levels_of_mask(mask), width, height))
 
 

@@ -34,9 +34,6 @@ def properties(rest_coefficients: int) -> tuple[str, ...]:
     )
 
 
-PROPERTIES = properties(REST_COEFFICIENTS)
-
-
 @torch.no_grad()
 def write_splats(
     path: Path,

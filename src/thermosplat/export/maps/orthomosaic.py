@@ -84,7 +84,6 @@ class MapGrid:
         """The grid of what a capture saw.
 
         Args:
-            frame: As of ``covering``.
             extent: As of ``covering``; None: what the cameras saw.
             pixel: As of ``covering``; None: so that the longer side has ``pixels``.
             pixels: Along the longer side.

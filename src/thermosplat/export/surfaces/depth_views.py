@@ -108,7 +108,6 @@ def depth_points(
     Args:
         views: Cameras, those of training.
         most: Points at most; each view gives its share, at random.
-        temperatures: As of ``depth_view``.
     """
     generator = torch.Generator().manual_seed(0)
     parts: list[tuple[NDArray[np.float32], NDArray[np.uint8], dict[str, NDArray[np.float32]]]] = []

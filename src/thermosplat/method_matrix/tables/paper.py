@@ -55,7 +55,8 @@ def quality_table(results: Results) -> Table:
                     rows.append((spectrum, heading, f"{method} (paper)", *(entry(_listed(v), form) for v in paper)))
             for method, value in others_means(metric, scenes).items():
                 rows.append((spectrum, heading, f"{method} (paper)", *["-"] * len(scenes), form.format(value)))
-    title = f"Table 1. Held-out views, PSNR in dB.{_lpips_note(results)}{_paper_note(scenes)}"
+    paper_note = " (paper): as ThermoSplat's paper reports it." if any(map(paper_scene, scenes)) else ""
+    title = f"Table 1. Held-out views, PSNR in dB.{_lpips_note(results)}{paper_note}"
     return Table("table1", title, ("spectrum", "metric", "method", *scenes, "mean"), tuple(rows), labels=3)
 
 
@@ -121,7 +122,3 @@ def _listed(value: float | None) -> list[float]:
 def _lpips_note(results: Results) -> str:
     nets = list(dict.fromkeys(cell.lpips_net for cell in results.cells.values() if cell.lpips_net))
     return f" {'; '.join(nets)}." if nets else ""
-
-
-def _paper_note(scenes: Sequence[str]) -> str:
-    return " (paper): as ThermoSplat's paper reports it." if any(paper_scene(scene) for scene in scenes) else ""

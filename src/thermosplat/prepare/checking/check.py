@@ -17,6 +17,7 @@ from thermosplat.datasets.images.image_files import read_image
 from thermosplat.datasets.images.spectrum_files import as_rgb
 from thermosplat.datasets.parallax import Seen, parallax_remark, triangulation_angle
 from thermosplat.errors import UserError
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.capture_folder import LEADING, OTHER, CaptureFolder, PairRow
 from thermosplat.prepare.checking.check_page import check_page
 from thermosplat.prepare.checking.contact_sheet import row, sheet, shown_thermal
@@ -32,7 +33,6 @@ from thermosplat.prepare.checking.point_levels import PointLevels, point_levels
 from thermosplat.prepare.checking.quick_check import wrong_findings
 from thermosplat.prepare.checking.sensor_orientation import find_orientation, orientation_as_registered
 from thermosplat.prepare.counted import agreeing, counted
-from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.prepare.progress import tracked
 from thermosplat.prepare.steps import StepReport, read_marker, require_step, run_step
 from thermosplat.prepare.whole_files import write_png
@@ -226,7 +226,7 @@ def _levels(capture: CaptureFolder, images: Mapping[str, NDArray[Any]]) -> Point
 
 def _pair_findings(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[Finding]:
     """Orientation of the sensors, and visible edges in thermal pictures."""
-    chosen = _spread(pairs, _COMPARED)
+    chosen = evenly_chosen(pairs, _COMPARED)
     images = [(_photograph(capture, one.rgb), read_image(capture.images(OTHER) / one.thermal)) for one in chosen]
     found = _orientation_findings(capture, chosen, images)
     measured = capture.units_json.exists() and read_statement(capture.units_json, OTHER).unit != COUNTS
@@ -285,7 +285,7 @@ def quarters(pose: NDArray[np.float64]) -> int:
 
 
 def _pictures(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[tuple[str, NDArray[np.uint8]]]:
-    chosen = _spread(pairs, _ROWS)
+    chosen = evenly_chosen(pairs, _ROWS)
     folder = find_model(capture.root)
     names = [(f"{LEADING}/{one.rgb}", f"{OTHER}/{one.thermal}") for one in chosen]
     warps = {} if folder is None else read_warps(folder, names)
@@ -301,8 +301,3 @@ def _pictures(capture: CaptureFolder, pairs: Sequence[PairRow]) -> list[tuple[st
 def _photograph(capture: CaptureFolder, name: str) -> NDArray[np.uint8]:
     path = capture.images(LEADING) / Path(name)
     return as_rgb(path, read_image(path))
-
-
-def _spread(pairs: Sequence[PairRow], count: int) -> list[PairRow]:
-    """Up to ``count`` pairs, evenly over the capture."""
-    return [pairs[place] for place in evenly_chosen(len(pairs), count)]

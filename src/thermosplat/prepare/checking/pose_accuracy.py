@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import View
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.checking.posed_photographs import reduced_luma
-from thermosplat.prepare.evenly_chosen import evenly_chosen
 
 LONG_SIDE = 640
 """Of the photographs that are looked at, and the unit of distances [px]."""
@@ -74,7 +74,7 @@ def pose_accuracy(views: Sequence[View]) -> PoseAccuracy | None:
         return None
     features: dict[int, _Features] = {}
     found = []
-    for first in evenly_chosen(len(views), _COMPARED):
+    for first in evenly_chosen(range(len(views)), _COMPARED):
         second = _nearest(views, first)
         if second is None:
             continue

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import View
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.checking.sensor_orientation import LUMA
-from thermosplat.prepare.evenly_chosen import evenly_chosen
 
 _COMPARED = 16
 """Photographs that are looked at."""
@@ -71,7 +71,7 @@ def pose_scores(views: Sequence[View], points: NDArray[np.floating], colors: NDA
         return {}
     every = max(1, len(points) // _MOST_POINTS)
     places, luma = points[::every].astype(np.float64), colors[::every].astype(np.float32) @ LUMA
-    at = evenly_chosen(len(views), _COMPARED)
+    at = evenly_chosen(range(len(views)), _COMPARED)
     cache: dict[int, NDArray[np.float32]] = {}
 
     def image(place: int) -> NDArray[np.float32]:

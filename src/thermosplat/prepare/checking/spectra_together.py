@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermosplat.datasets.capture import View
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.checking.posed_photographs import projected
 from thermosplat.prepare.checking.sensor_orientation import edge_strength
-from thermosplat.prepare.evenly_chosen import evenly_chosen
 from thermosplat.spectra import label
 
 _COMPARED = 24
@@ -108,7 +108,7 @@ def together(pairs: Sequence[tuple[View, View]], points: NDArray[np.floating]) -
     """
     if len(pairs) < _LEAST_PAIRS:
         return None
-    places = evenly_chosen(len(pairs), _COMPARED)
+    places = evenly_chosen(range(len(pairs)), _COMPARED)
     camera = pairs[0][0].camera
     factor = min(1.0, _LONG_SIDE / max(camera.width, camera.height))
     size = round(camera.width * factor), round(camera.height * factor)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.prepare.evenly_chosen import evenly_chosen
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.placing.adjustment import FINE_STEPS, PLAIN_STEPS, Adjusted, adjusted
 from thermosplat.prepare.placing.lone_search import REACH, TURNS, best_pose
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
@@ -83,7 +83,7 @@ def about_placed(photographs: Photographs, images: Sequence[ThermalImage], prior
 def _first_lens(scene: Scene, fields: Sequence[Field]) -> RigCamera:
     """The lens without distortion by which some images agree best with the photographs."""
     height, width = scene.images[0].slopes.shape[:2]
-    asked = evenly_chosen(len(fields), _ASKED)
+    asked = evenly_chosen(range(len(fields)), _ASKED)
     lenses = [RigCamera.looking_along(width, height, factor * width) for factor in FOCAL_LENGTHS]
     scores = []
     with progress_bar("focal length", len(lenses)) as advance:

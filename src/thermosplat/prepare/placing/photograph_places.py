@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.prepare.evenly_chosen import evenly_chosen
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.placing.shift_search import Field, Sought, View, turned
 from thermosplat.prepare.placing.world_edges import PER_RADIAN, Photographs, Pose
 from thermosplat.prepare.registration.edge_correlation import QUARTERS, rotation_between
@@ -44,7 +44,7 @@ class Path(NamedTuple):
 
 def asked_places(photographs: Photographs) -> list[Pose]:
     """Poses of photographs near which images are looked for: all, or some spread over them."""
-    return [photographs.poses[number] for number in evenly_chosen(len(photographs.poses), _MOST_PLACES)]
+    return evenly_chosen(photographs.poses, _MOST_PLACES)
 
 
 def spacing(poses: Sequence[Pose]) -> float:

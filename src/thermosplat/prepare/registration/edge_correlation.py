@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermosplat.prepare.evenly_chosen import evenly_chosen
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.prepare.registration import thermal_edges
 from thermosplat.prepare.registration.rig_camera import Array, RigCamera
 from thermosplat.prepare.registration.stereo_edges import EdgePoints
@@ -53,7 +53,7 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
     Args:
         slopes: Slopes [H, W, 2] of each frame's thermal image.
     """
-    frames = _spread(np.unique(edges.frame), _COARSE_FRAMES)
+    frames = evenly_chosen(np.unique(edges.frame).tolist(), _COARSE_FRAMES)
     height, width = slopes[0].shape[:2]
     best: list[Match] = []
     for mirrored in (False, True):
@@ -69,7 +69,7 @@ def correlate(edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> list[
 
 def _refined(match: Match, edges: EdgePoints, slopes: Sequence[NDArray[np.float32]]) -> Match:
     """The match on more frames, with small turns about the optical axis."""
-    frames = _spread(np.unique(edges.frame), _FINE_FRAMES)
+    frames = evenly_chosen(np.unique(edges.frame).tolist(), _FINE_FRAMES)
     thermal = {frame: edge_field(slopes[frame], match.mirrored) for frame in frames}
     camera = match.camera
     quarter = np.degrees(np.arctan2(camera.rotation[1, 0], camera.rotation[0, 0]))
@@ -80,11 +80,6 @@ def _refined(match: Match, edges: EdgePoints, slopes: Sequence[NDArray[np.float3
     ]
     score, found = max(trials, key=lambda trial: trial[0])
     return Match(score, found, match.mirrored)
-
-
-def _spread(frames: NDArray[np.int64], most: int) -> list[int]:
-    """At most so many frames, evenly spread."""
-    return [int(frame) for frame in frames[evenly_chosen(len(frames), most)]]
 
 
 def edge_field(

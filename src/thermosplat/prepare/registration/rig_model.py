@@ -75,7 +75,6 @@ def with_unpaired(
     """The model of the photographs with thermal images of other moments.
 
     Args:
-        model: As of ``with_thermal``.
         lens: The thermal camera, whose pose does not count.
         places: Poses by the images' files, world to camera.
     """

@@ -269,7 +269,6 @@ class SpectrumSchedule:
         Frames that stay on the disk are read ahead if they are asked for in their order.
 
         Args:
-            steps_done: As of ``frame``.
             number: Which of the step's frames that this process renders; without any of them there is no view.
             factor: What the sides of the images are divided by.
         """

@@ -115,14 +115,12 @@ class RunResults:
             self.corrected_capture(),
             self._config,
             sh_degree=sh_degree_at(self._config, step),
-            device=self._device,
             lpips=self._lpips,
             strips_dir=self._run.renders if at_the_end else None,
             csv_path=self._run.stats / "per_view.csv" if at_the_end else None,
         )
         if at_the_end:
-            degree = sh_degree_at(self._config, step)
-            known = training_views(self._state.model, judged.capture, sh_degree=degree, device=self._device)
+            known = training_views(self._state.model, judged.capture, sh_degree=sh_degree_at(self._config, step))
             judged = replace(judged, metrics={**judged.metrics, "training_views": known})
             lines = remarks(judged.metrics, self._config.budget == "fixed")
             judged = replace(judged, metrics={**judged.metrics, "remarks": lines})
@@ -148,11 +146,10 @@ class RunResults:
         Returns:
             The content of metrics.json.
         """
-        state, config, device = self._state, self._config, self._device
-        degree = sh_degree_at(config, state.step)
-        write_regions(self._run, state.model, judged.capture, state.step, degree, device)
+        state, config = self._state, self._config
+        write_regions(self._run, state.model, judged.capture, state.step, sh_degree_at(config, state.step))
         if state.corrections is not None:
             write_cameras(judged.capture, self._run.refined)
-        metrics = run_metrics(judged.metrics, state, device, self._lpips, config)
+        metrics = run_metrics(judged.metrics, state, self._device, self._lpips, config)
         self._run.write_json(self._run.metrics_json, metrics)
         return metrics

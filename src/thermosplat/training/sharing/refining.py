@@ -17,7 +17,6 @@ from thermosplat.distributed.team import RowFetch, Team, row_fetch
 from thermosplat.scene.gaussians import Gaussians
 from thermosplat.training.density.gaussian_ops import Optimizers, replace_parameters
 from thermosplat.training.density.strategies import STRATEGIES
-from thermosplat.training.density.strategy import Strategy
 from thermosplat.training.sharing.shares import count_anew, step_counts
 from thermosplat.training.training_state import TrainingState
 
@@ -48,7 +47,9 @@ def refine(
     whole_sums = {key: team.on_first(value, counts) for key, value in sums.items()}
     after: dict[str, Tensor] = {}
     if team.is_first:
-        whole = _whole_strategy(state, name, config, sum(counts), team.device)
+        spectra = tuple(spectrum for spectrum in state.model.spectra if state.model.set_of(spectrum) == name)
+        make, extent, span = STRATEGIES[config.strategy], state.scene_extent, state.spans[name]
+        whole = make(config, extent, sum(counts), team.device, span, spectra)
         whole.growing, whole.most = strategy.growing, strategy.most
         whole.load_state_dict({key: _as_kept(value) for key, value in whole_sums.items() if value is not None})
         whole.refine(stood_in.gaussians, stood_in.optimizers, step, generator)
@@ -59,15 +60,6 @@ def refine(
     of_block = {key: team.from_first(after.get(key), sums[key], total) for key in sums}
     strategy.load_state_dict({key: _as_kept(value) for key, value in of_block.items()})
     count_anew(team, state)
-
-
-def _whole_strategy(
-    state: TrainingState, name: str, config: DensificationConfig, number: int, device: torch.device
-) -> Strategy:
-    """A strategy for all Gaussians of a set."""
-    spectra = tuple(spectrum for spectrum in state.model.spectra if state.model.set_of(spectrum) == name)
-    make = STRATEGIES[config.strategy]
-    return make(config, state.scene_extent, number, device, state.spans[name], spectra)
 
 
 def _by_gaussian(value: Tensor) -> Tensor:

@@ -276,11 +276,7 @@ class AutoBudget:
         reduce_features(state.model, state.optimizers[SHARED], change, self.tolerances.feature_change)
 
     def images(self, sh_degree: int, losses: TrainConfig | None = None) -> ImageChange:
-        """Some training images as they are now.
-
-        Args:
-            losses: As ``ImageChange``'s.
-        """
+        """Some training images as they are now."""
         looked_at = spread(self._having, self.tolerances.measured_views)
         return ImageChange(self.state.model, SomeFrames(self.frames, looked_at), sh_degree, losses)
 

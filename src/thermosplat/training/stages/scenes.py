@@ -49,11 +49,7 @@ class Beginnings:
                         found_so_far.unlink(missing_ok=True)
 
     def forget_scene(self, kept: Sequence[Scene] = ()) -> None:
-        """Put a new scene in place of the one under way.
-
-        Args:
-            kept: As of ``start_anew``.
-        """
+        """Put a new scene in place of the one under way."""
         config, state = self._training.config, self._training.state
         start = of_passes(config) if state.preliminaries.camera_passes > 1 else config
         model = self._training.scenes.made(replace(start, seed=seed_of_scene(config.seed, len(kept))))

@@ -86,7 +86,9 @@ class SweptDepths:
                 say(f"Depths of {label(name)} images are not swept: {reason}.")
                 continue
             say(f"Sweeping {len(views)} {label(name)} images for depths.")
-            known = _known_depths(views, points)
+            depths = depths_of_views(list(views.values()), points)
+            pairs = zip(views.items(), depths, strict=True)
+            known = {i: _enlarged(depth, view).log() for (i, view), depth in pairs}  # [H, W], NaN where unknown
             share = torch.cat([~depth.isnan().flatten() for depth in known.values()]).float().mean().item()
             if share < AGREED:
                 say(f"They agree on depths in {share:.0%} of their pixels, too few: no depths are used.")
@@ -154,12 +156,6 @@ def _why_not(frames: TrainFrames, config: TrainConfig, views: Mapping[int, ViewT
     if not frames.reserve(4 * sum(view.width * view.height for view in views.values())):
         return "there is no memory left for them"
     return None
-
-
-def _known_depths(views: Mapping[int, ViewTensors], points: Tensor) -> dict[int, Tensor]:
-    """log z of views by their frame's index, [H, W] each, NaN where unknown."""
-    depths = depths_of_views(list(views.values()), points)
-    return {i: _enlarged(depth, view).log() for (i, view), depth in zip(views.items(), depths, strict=True)}
 
 
 def _enlarged(depth: Tensor, view: ViewTensors) -> Tensor:
