@@ -132,3 +132,12 @@ def test_a_pixel_is_covered_where_half_of_its_light_is_held(device: torch.device
     assert ((alphas >= 0.5) | unsure)[covered].all()
     assert ((alphas < 0.5) | unsure)[~covered].all()
     assert (depths[covered] != 0).all()
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_tiles_change_speed_alone(device: torch.device, name: str) -> None:
+    """Depths and what is covered are the same to the bit, whatever the size of the tiles."""
+    given = leaves(shaped(hard_scene(name)), device, torch.float32)
+    (depths, covered), other = covered_depths(project(**given)), covered_depths(project(**given, tile_size=8))
+    assert torch.equal(depths, other[0])
+    assert torch.equal(covered, other[1])

@@ -30,6 +30,7 @@ def test_hostile_texts(text: str) -> None:
     pdf = pdf_of(_blocks(text), "en")
     assert pdf.startswith(b"%PDF")
     assert len(re.findall(rb"/Type /Page\b", pdf)) >= 2
+    assert b"ASCII85Decode" not in pdf
 
 
 def test_pages_are_counted() -> None:

@@ -77,9 +77,10 @@ def test_images_tell_whether_spectra_see_different_surfaces(
         size = torch.where(torch.arange(width) < 24, times.get((spectrum, round(at[0, 0, 2].item(), 3)), 1.0), 1.0)
         return (0.1 * index * size).expand(height, width)[..., None]
 
-    monkeypatch.setattr(certainty, "_from_elsewhere", images)
+    monkeypatch.setattr(certainty._images, "seen_from", images)
     order = range(len(certainty._frames))
-    found = certainty._lies_before("rgb", view, depth, other_depth, torch.ones(60, 80, dtype=torch.bool), order)
+    everywhere = np.ones((60, 80), bool)
+    found = certainty._lies_before("rgb", view, depth, other_depth, torch.from_numpy(everywhere), order, everywhere)
     assert found[:, :20].mean() == differ
     assert not found[:, 24:].any()
 
@@ -94,8 +95,9 @@ def test_what_changes_with_direction_is_not_to_be_read(scene, monkeypatch) -> No
         height, width = at.shape[:2]
         return torch.where(mirror[:width], 20.0 + 5.0 * index, 20.0).expand(height, width)[..., None]
 
-    monkeypatch.setattr(certainty, "_from_elsewhere", images)
-    _, doubts = certainty._evidence(view, np.full((60, 80), 20.0), 0.05, 0.05)
+    monkeypatch.setattr(certainty._images, "seen_from", images)
+    values = np.full((60, 80), 20.0)
+    doubts = certainty._doubts(view, values, certainty._look(view, values, 0.05, 0.05), 0.05, 0.05)
     surface = doubts & NO_SURFACE == 0
     assert surface[:, :20].any()
     assert (doubts[:, :20][surface[:, :20]] & REFLECTING > 0).mean() > 0.9
@@ -117,8 +119,8 @@ def test_a_picture_is_looked_at_once(scene, monkeypatch) -> None:
     """Several measurements of one view ask once; another picture of the same place is looked at anew."""
     certainty, looks = scene.certainties["thermal"], []
     assert certainty.calibration.factors  # looks at held-out views
-    evidence = certainty._evidence
-    monkeypatch.setattr(certainty, "_evidence", lambda *given: looks.append(1) or evidence(*given))
+    look = certainty._look
+    monkeypatch.setattr(certainty, "_look", lambda *given: looks.append(1) or look(*given))
     view = scene.view(scene.start().viewmat, 50.0, 40, 30)
     values = np.full((30, 40), 20.0)
     first = certainty.of_view(view, values)
@@ -168,6 +170,21 @@ def test_what_nobody_saw_is_not_to_be_read(scene) -> None:
     assert ((doubts[~nothing] & FEW_VIEWS) > 0).any()
 
 
+def test_some_pixels_have_the_doubts_that_they_have_among_all(scene) -> None:
+    """Whatever is asked for, and though fewer images are looked at; the intervals are those of the whole view."""
+    certainty, start = scene.certainties["thermal"], scene.start()
+    turned = start.viewmat.copy()
+    turned[:3, 3] += (0.8, 0.3, 0.5)
+    view = scene.view(turned, 70.0, 60, 44)
+    field = LayerRenderer(scene).render([THERMAL], view)[THERMAL].field
+    everywhere, x, y = certainty.of_view(view, field), *np.meshgrid(np.arange(60), np.arange(44))
+    assert len(np.unique(everywhere.doubts)) > 1
+    for where in (x < 20, (x - 30) ** 2 + (y - 20) ** 2 < 80, (x == 40) & (y == 10)):
+        some = certainty.of_view(view, field, where)
+        np.testing.assert_array_equal(some.doubts[where], everywhere.doubts[where])
+        np.testing.assert_array_equal(some.half_width, everywhere.half_width)
+
+
 def test_readings_have_plus_and_minus(scene) -> None:
     """A spot says ± and why it may not be read; the layer shows the same numbers and hatches the same pixels."""
     session = toy_session(scene)
@@ -196,7 +213,7 @@ def test_a_training_view_is_not_compared_with_itself(scene) -> None:
     view = view_tensors(frame.views["thermal"], None, "cpu")
     image = scene.model.render({"thermal": view}, sh_degree=1).images["thermal"]
     with torch.no_grad():
-        s, _ = certainty._evidence(view, np.full(image.shape[:2], 100.0), 0.0, 0.0)
+        s = certainty._look(view, np.full(image.shape[:2], 100.0), 0.0, 0.0).s
     assert np.nanmedian(s) > 50  # its neighbours have 10 to 30 °C
 
 

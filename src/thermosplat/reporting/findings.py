@@ -178,7 +178,7 @@ class _Search:
         everywhere = np.concatenate(places)
         order = np.argsort(everywhere[:, 0])
         self._places, self._of_view = everywhere[order], of_view[order]
-        self._known: dict[SearchedView, Sure | None] = {}
+        self._known: dict[SearchedView, tuple[NDArray[np.bool_], Sure | None]] = {}
         self._cell = grid_cell(views)
         self._findings: list[Finding] = []
         self._doubted: list[Region] = []
@@ -196,7 +196,7 @@ class _Search:
             if any(_holds(one, region) for one in inside) or not self._is_agreed(region):
                 continue
             view, around = self._views[region.best_view], references[region.best_view]
-            sure = self._sure(view)
+            sure = self._sure(view, pixels)
             if must_not_be_read(sure, pixels):
                 self._doubted.append(region)
                 continue
@@ -234,7 +234,7 @@ class _Search:
         for one in things:
             if len(listed) == MOST_THINGS:
                 break
-            if must_not_be_read(self._sure(one.seen), one.pixels):
+            if must_not_be_read(self._sure(one.seen, one.pixels), one.pixels):
                 self._doubted.append(one.region)
             else:
                 listed.append(one)
@@ -276,11 +276,14 @@ class _Search:
         inside = (np.abs(self._places[near, 1:] - region.place[1:]) <= half[1:]).all(axis=-1)
         return len(np.unique(self._of_view[near][inside]))
 
-    def _sure(self, view: SearchedView) -> Sure | None:
-        if view not in self._known:  # it takes a while, and many regions share a view
-            layer = Layer("image", self._spectrum)
-            self._known[view] = self._measurer.renderer.how_sure(layer, view.view)
-        return self._known[view]
+    def _sure(self, view: SearchedView, pixels: NDArray[np.bool_]) -> Sure | None:
+        """How sure a view is in some pixels at least, [H, W]."""
+        asked, sure = self._known.get(view, (np.zeros_like(pixels), None))
+        if (pixels & ~asked).any():  # it takes a while, and many regions share a view
+            asked = asked | pixels
+            sure = self._measurer.renderer.how_sure(Layer("image", self._spectrum), view.view, asked)
+            self._known[view] = asked, sure
+        return sure
 
 
 def _holds(one: Region, other: Region) -> bool:

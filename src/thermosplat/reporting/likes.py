@@ -123,40 +123,49 @@ class Elements:
         middle = places.mean(axis=0)
         x, t = (places - middle).astype(np.float32), values.astype(np.float32)
         colors, normals = self._colors[self._sound], _normals(places - middle, max(self._radius / 16, 2 * self._cell))
+        shares = colors / (colors.sum(axis=1, keepdims=True) + _BLACK)
+        looks = np.concatenate([colors, shares], axis=1)
         order = np.random.default_rng(0).permutation(len(x))
         samples = order[np.unique(_keys(places[order], self._radius / _SAMPLES), return_index=True)[1]]
         blocks = np.floor((x - x.min(axis=0)) / (self._radius / 2)).astype(np.int64)
         of_block = _grouped(_flat(blocks))
-        lowest = x.min(axis=0)
+        lowest, at = x.min(axis=0), x[samples]
         medians = np.full(len(x), np.nan)
         for mine in of_block:
             low = lowest + blocks[mine[0]] * self._radius / 2
-            at = x[samples]
             near = samples[((at > low - self._radius) & (at < low + 1.5 * self._radius)).all(axis=1)]
-            medians[mine] = self._of_block(mine, near, x, t, colors, normals)
+            medians[mine] = self._of_block(mine, near, x, t, looks, normals)
         return medians
 
     def _of_block(
-        self, mine: Indices, near: Indices, x: NDArray, t: NDArray, colors: NDArray, normals: NDArray
+        self, mine: Indices, near: Indices, x: NDArray, t: NDArray, looks: NDArray, normals: NDArray
     ) -> Array:
         """Medians of neighbouring elements, whose samples are the same."""
         apart = np.abs(normals[mine] @ x[near].T - (normals[mine] * x[mine]).sum(axis=1)[:, None])
         like = (apart < _OFF_PLANE * self._radius) & (np.abs(normals[mine] @ normals[near].T) > _COSINE)
         squares = (x[mine] ** 2).sum(axis=1)[:, None] + (x[near] ** 2).sum(axis=1) - 2 * x[mine] @ x[near].T
-        like &= squares < self._radius**2
-        shares = colors / (colors.sum(axis=1, keepdims=True) + _BLACK)
-        contrast = sum(np.abs(colors[mine, k][:, None] - colors[near, k]) for k in range(3))
-        tones = sum(np.abs(shares[mine, k][:, None] - shares[near, k]) for k in range(3))
-        contrast = np.where(like & (contrast < 3 * _CONTRAST), _TONE * tones + (1 - _TONE) * contrast, np.inf)
-        count = np.isfinite(contrast).sum(axis=1)
+        rows, columns = np.nonzero(like & (squares < self._radius**2))
+        one, other = looks[mine].T, looks[near].T
+        parts = [np.abs(one[k][rows] - other[k][columns]) for k in range(6)]
+        contrast, tones = sum(parts[:3]), sum(parts[3:])
+        alike = np.flatnonzero(contrast < 3 * _CONTRAST)
+        contrast = (_TONE * tones + (1 - _TONE) * contrast)[alike]
+        rows, columns = rows[alike], columns[alike]
+        count = np.bincount(rows, minlength=len(mine))
         known = np.flatnonzero(count >= _FEWEST_LIKE)
-        kept = np.maximum((_NEAREST_COLORS * count[known]).astype(np.intp), _FEWEST_LIKE)
-        rows, contrast = np.arange(len(known)), contrast[known]
-        farthest = np.sort(contrast, axis=1)[rows, kept - 1]
-        nearest = contrast <= farthest[:, None]
-        of_like = np.sort(np.where(nearest, t[near], np.inf), axis=1)
         medians = np.full(len(mine), np.nan)
-        medians[known] = of_like[rows, (nearest.sum(axis=1) - 1) // 2]
+        if len(known) == 0:
+            return medians
+        place = np.arange(len(rows)) - (np.cumsum(count) - count)[rows]  # in a row for each element, inf at its end
+        contrasts, values = np.full((2, len(mine), count.max()), np.inf, np.float32)
+        contrasts[rows, place], values[rows, place] = contrast, t[near][columns]
+        contrasts, values, count = contrasts[known], values[known], count[known]
+        kept = np.maximum((_NEAREST_COLORS * count).astype(np.intp), _FEWEST_LIKE)
+        every = np.arange(len(known))
+        farthest = np.sort(contrasts, axis=1)[every, kept - 1]
+        nearest = contrasts <= farthest[:, None]
+        of_like = np.sort(np.where(nearest, values, np.inf), axis=1)
+        medians[known] = of_like[every, (nearest.sum(axis=1) - 1) // 2]
         return medians
 
 

@@ -50,6 +50,7 @@ def pdf_of(blocks: Sequence[Block], language: str) -> bytes:
         UserError: ReportLab is not installed.
     """
     pdf_library()
+    from reportlab import rl_config
     from reportlab.lib.pagesizes import A4
     from reportlab.platypus import SimpleDocTemplate
 
@@ -59,7 +60,11 @@ def pdf_of(blocks: Sequence[Block], language: str) -> bytes:
     edges = {f"{side}Margin": _MARGIN for side in ("left", "right", "top", "bottom")}
     document = SimpleDocTemplate(file, pagesize=A4, title=printable(title), lang=language, **edges)
     story = [part for block in blocks for part in page.parts(block)]
-    document.build(story, onFirstPage=_numbered, onLaterPages=_numbered)
+    usual, rl_config.useA85 = rl_config.useA85, 0  # bytes as letters, one by one in Python, make a larger file
+    try:
+        document.build(story, onFirstPage=_numbered, onLaterPages=_numbered)
+    finally:
+        rl_config.useA85 = usual
     return file.getvalue()
 
 

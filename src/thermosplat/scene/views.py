@@ -150,7 +150,8 @@ def render_view_surface(
     means: Tensor = gaussians.means
     quats: Tensor = gaussians.quats
     how = {**rendering.pixel_filter._asdict(), **projection_arguments(view), "distributed": rendering.distributed}
-    depth, covered = covered_depths(project(means, quats, scales, opacities, **how))
+    tile = 16 if means.is_cuda else 8  # a pixel of 8 px tiles passes over half as many Gaussians; benchmarks/records
+    depth, covered = covered_depths(project(means, quats, scales, opacities, tile_size=tile, **how))
     return depth.squeeze(0), covered.squeeze(0)
 
 

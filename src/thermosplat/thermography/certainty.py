@@ -19,7 +19,6 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -37,21 +36,16 @@ from thermosplat.thermal.intensity import pixel_intensity
 from thermosplat.thermal.radiometry import PixelScale
 from thermosplat.thermography.calibration import Calibration, calibration, read_calibration
 from thermosplat.thermography.picture_structure import noise_of, opened, scatter_of, stands_out
-from thermosplat.thermography.reprojection import (
-    HIDDEN,
-    camera_points,
-    coarse_view,
-    normals_of,
-    pose_distances,
-    sampled,
-    seen_from,
-)
+from thermosplat.thermography.reprojection import camera_points, normals_of, pose_distances
+from thermosplat.thermography.training_images import Surfaces, TrainingImages, surface_of
 
 Array = NDArray[np.float64]
 _NEAREST, _LOOKED_AT = 8, 48
 """Training views that are compared with, and those of which it is asked whether they see a point."""
 _MOST_CALIBRATING, _MOST_LEVELS = 12, 48
 """Held-out views that intervals are made of, and training views whose level is."""
+_MOST_LOOKS = 32
+"""Views that are remembered: a report asks of some again and again."""
 FEW_VIEWS, GRAZING, REFLECTING, DEPTHS_DIFFER, SMALL, NO_SURFACE = (1 << bit for bit in range(6))
 DOUBTS = {
     FEW_VIEWS: "fewer than two views saw it",
@@ -85,7 +79,25 @@ class Sure:
     half_width: Array
     """Half of the 95% interval, [H, W], in the unit of the values; NaN where there is no surface."""
     doubts: NDArray[np.uint8]
-    """Why a value should not be read, bits of ``DOUBTS``, [H, W]; 0: it may be."""
+    """Why a value should not be read, bits of ``DOUBTS``, [H, W]; 0: it may be, or nobody asked."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What a view and the training images nearest to it say of its values, all [H, W]."""
+
+    surfaces: Mapping[str, tuple[Tensor, Tensor]]
+    """By spectrum, as of ``render_surface``."""
+    depth: Tensor
+
+    s: Array
+    """NaN where there is no surface."""
+    surface: NDArray[np.bool_]
+    """Where a value is on a surface."""
+    slope: Array
+    """Of the values, in their unit per pixel."""
+    scatter: Array
+    """Of the nearest images, as of ``scatter_of``."""
 
 
 class Certainty:
@@ -122,24 +134,30 @@ class Certainty:
         apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
         np.fill_diagonal(apart, np.inf)
         self._spacing = float(np.median(apart.min(axis=1))) if len(places) > 1 else 1.0
-        self._taken = lru_cache(maxsize=512)(self._taken_anew)
+        self._images = TrainingImages(model, self._frames, spectrum, scale, device)
         self._calibration: Calibration | None = None
         self._last = b"", Sure(np.zeros((0, 0)), np.zeros((0, 0), np.uint8))  # several measurements are of one view
+        self._looks: dict[bytes, _Look] = {}
 
     @torch.no_grad()
-    def of_view(self, view: ViewTensors, values: NDArray[np.floating]) -> Sure:
+    def of_view(self, view: ViewTensors, values: NDArray[np.floating], where: NDArray[np.bool_] | None = None) -> Sure:
         """How sure the values of a view are.
 
         Args:
             view: From where they were rendered.
             values: What was rendered, [H, W], as the capture has it (not recalculated).
+            where: Pixels whose doubts are asked for, [H, W], which are sooner told if they are few; None: all.
         """
         picture = (view.viewmat.cpu().numpy(), view.K.cpu().numpy(), np.asarray(values))
         key = hashlib.sha256(b"".join(map(np.ndarray.tobytes, picture))).digest()
-        if key != self._last[0]:
-            known = self.calibration
-            s, doubts = self._evidence(view, values.astype(np.float64), known.noise, known.level)
-            self._last = key, Sure(known.half_width(s), doubts)
+        asked = key if where is None else key + where.tobytes()
+        if asked != self._last[0]:
+            known, shown = self.calibration, values.astype(np.float64)
+            look = self._looks.pop(key, None) or self._look(view, shown, known.noise, known.level)
+            if where is not None:  # by a report, in small pictures
+                self._looks = dict([*self._looks.items(), (key, look)][-_MOST_LOOKS:])
+            doubts = self._doubts(view, shown, look, known.noise, known.level, where)
+            self._last = asked, Sure(known.half_width(look.s), doubts)
         return self._last[1]
 
     @property
@@ -173,7 +191,7 @@ class Certainty:
         views = []
         for frame in held_out[:: max(1, len(held_out) // _MOST_CALIBRATING)]:
             view, rendered, expected = self._compared(frame)
-            s, _ = self._evidence(view, rendered, noise, level)
+            s = self._look(view, rendered, noise, level).s
             there = np.isfinite(s) & np.isfinite(expected)
             views.append((s[there], (rendered - expected)[there]))
         return calibration(noise, levels, views)
@@ -181,8 +199,9 @@ class Certainty:
     def compared(self, frame: Frame, calibration: Calibration) -> tuple[Array, Array, NDArray[np.uint8]]:
         """Errors [H, W], halves of the intervals and doubts of a view that has an image."""
         view, rendered, expected = self._compared(frame)
-        s, doubts = self._evidence(view, rendered, calibration.noise, calibration.level)
-        return rendered - expected, calibration.half_width(s), doubts
+        look = self._look(view, rendered, calibration.noise, calibration.level)
+        doubts = self._doubts(view, rendered, look, calibration.noise, calibration.level)
+        return rendered - expected, calibration.half_width(look.s), doubts
 
     def _compared(self, frame: Frame) -> tuple[ViewTensors, Array, Array]:
         """A frame's view, and its values as they are rendered and as they were measured, [H, W]."""
@@ -196,68 +215,25 @@ class Certainty:
 
     def _level(self, index: int) -> float:
         """What the scene is wrong by in a training view as a whole."""
-        camera, values, _ = self._taken(self.spectrum, index)
+        camera, values = self._images.camera(self.spectrum, index), self._images.picture(self.spectrum, index)
         return float(np.nanmedian(self._rendered(camera) - values[..., 0].double().cpu().numpy()))
 
     def _measured_in(self, frame: Frame) -> tuple[ViewTensors, Tensor]:
         view = view_tensors(frame.views[self.spectrum], None, self._device)
-        return view, self._measured(view)
+        return view, self._images.measured(view)
 
-    def _measured(self, view: ViewTensors) -> Tensor:
-        """Values of a photograph, [H, W]; within the range that a scene can show."""
-        if view.values is not None:
-            span = self.scale.range
-            return view.values if span is None else view.values.clamp(*span)
-        assert view.image is not None  # noqa: S101  a view of a capture
-        values: Tensor = self.scale.value(pixel_intensity(view.image, self.scale))
-        return values
-
-    def _taken_anew(self, spectrum: str, index: int) -> tuple[ViewTensors, Tensor, Tensor]:
-        """A training view in a spectrum, of a size that tells what is hidden: its camera, picture and depths."""
-        view = view_tensors(self._frames[index].views[spectrum], None, self._device)
-        camera, own = coarse_view(view), spectrum == self.spectrum
-        shown = self._measured(view)[..., None] if own else view.image
-        assert shown is not None  # noqa: S101  a view of a capture
-        size = (camera.height, camera.width)
-        picture = torch.nn.functional.interpolate(shown.permute(2, 0, 1)[None], size, mode="area")[0].permute(1, 2, 0)
-        depth = self._surface(camera) if own else self.model.render_depth(spectrum, camera)
-        return camera, picture, depth
-
-    def _from_elsewhere(self, spectrum: str, index: int, view: ViewTensors, points: Tensor, deep: str) -> Tensor:
-        """A training image as it looks from a view, [H, W, C]; NaN where it is hidden.
-
-        Args:
-            spectrum: The image's.
-            index: The training frame.
-            view: From where it is seen.
-            points: What the view's pixels see, in its camera's axes, [H, W, 3].
-            deep: The spectrum whose depths these are, which says what is hidden.
-        """
-        camera, picture, _ = self._taken(spectrum, index)
-        positions, visible = self._seen_there(index, view, points, deep)
-        if spectrum != deep:
-            positions, _ = seen_from(camera, view, points)
-        return torch.where(visible[..., None], sampled(picture, positions), torch.nan)
-
-    def _seen_there(self, index: int, view: ViewTensors, points: Tensor, deep: str) -> tuple[Tensor, Tensor]:
-        """Where points lie in a training image [px], and whether it shows them."""
-        by, _, its_depth = self._taken(deep, index)
-        positions, depths = seen_from(by, view, points)
-        return positions, depths <= (1 + HIDDEN) * sampled(its_depth[..., None], positions)[..., 0]
-
-    def _evidence(
-        self, view: ViewTensors, values: Array, noise: float, level: float
-    ) -> tuple[Array, NDArray[np.uint8]]:
-        """s of each pixel, and its doubts."""
-        of_each = {name: self.model.render_surface(name, view) for name in self.model.spectra}
-        depth = self._surface(view, of_each)
+    def _nearest(self, view: ViewTensors) -> list[int]:
+        """Training views by how far they were taken from a view, without itself."""
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
-        order = [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
-        normals = torch.stack([normals_of(one, view) for one, _ in of_each.values()], dim=2)  # any may be rough
+        return [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
+
+    def _look(self, view: ViewTensors, values: Array, noise: float, level: float) -> _Look:
+        """How wrong a picture's values [H, W] may be, by the noise of the sensor and the level's spread."""
+        own, surfaces = self.spectrum, Surfaces(self.model, view)
+        depth, order = surface_of(own, surfaces), self._nearest(view)
         shown = torch.as_tensor(values, dtype=torch.float32, device=depth.device)
         points = camera_points(view, depth)
-        nearest = [self._from_elsewhere(self.spectrum, one, view, points, self.spectrum) for one in order[:_NEAREST]]
-        seen, facing = self._seen_well(view, points, normals, order)
+        nearest = [self._images.seen_from(own, one, view, points, own) for one in order[:_NEAREST]]
         spread, scatter = np.zeros(values.shape), np.zeros(values.shape)
         if nearest:
             squares = (torch.stack(nearest)[..., 0] - shown).square().nanmean(dim=0)
@@ -266,55 +242,90 @@ class Certainty:
         slope = np.hypot(*np.gradient(np.nan_to_num(values, nan=float(np.nanmedian(values)))))
         s = np.sqrt(noise**2 + level**2 + spread**2 + (slope / 2) ** 2)
         surface = (depth > 0).cpu().numpy() & np.isfinite(values)
+        return _Look(surfaces, depth, np.where(surface, s, np.nan), surface, slope, scatter)
+
+    def _doubts(
+        self,
+        view: ViewTensors,
+        values: Array,
+        look: _Look,
+        noise: float,
+        level: float,
+        where: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Why values [H, W] should not be read; arguments as of ``of_view`` and ``_look``."""
+        where = np.ones(values.shape, bool) if where is None else where
+        depth, surfaces, order = look.depth, look.surfaces, self._nearest(view)
+        normals = [normals_of(surfaces[name][0], view) for name in self.model.spectra]  # any may be rough
+        seen, facing = self._seen_well(view, camera_points(view, depth), torch.stack(normals, dim=2), order, where)
         doubts = np.zeros(values.shape, np.uint8)
         few = opened((seen < _FEWEST_VIEWS).cpu().numpy())
         doubts[few] |= FEW_VIEWS
         doubts[opened(((facing < _LEAST_COSINE) & (seen > 0)).cpu().numpy())] |= GRAZING
+        scatter, surface = look.scatter, look.surface
         usual = float(np.median(scatter[surface])) if surface.any() else 0.0
-        beside = cv2.dilate(slope, np.ones((3, 3), np.uint8))  # images lie a pixel aside at most
+        beside = cv2.dilate(look.slope, np.ones((3, 3), np.uint8))  # images lie a pixel aside at most
         doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise, level)))] |= REFLECTING
-        for other in of_each.keys() - {self.spectrum}:
-            (_, solid), (theirs, there) = of_each[self.spectrum], of_each[other]
-            doubts[self._lies_before(other, view, depth, theirs, solid & there, order)] |= DEPTHS_DIFFER
+        for other in set(self.model.spectra) - {self.spectrum}:
+            (_, solid), (theirs, there) = surfaces[self.spectrum], surfaces[other]
+            doubts[self._lies_before(other, view, depth, theirs, solid & there, order, where)] |= DEPTHS_DIFFER
         focal = float(self._frames[order[0] if order else 0].views[self.spectrum].camera.K[0, 0])
         doubts[stands_out(values, noise, depth, view, focal)] |= SMALL
         doubts[~surface] = NO_SURFACE
-        return np.where(surface, s, np.nan), doubts
+        return doubts
 
     def _seen_well(
-        self, view: ViewTensors, points: Tensor, normals: Tensor, order: Sequence[int]
+        self, view: ViewTensors, points: Tensor, normals: Tensor, order: Sequence[int], where: NDArray[np.bool_]
     ) -> tuple[Tensor, Tensor]:
-        """How many training images show a pixel's point, and the largest cosine to its normals, [H, W]; both at least
-        what is enough where they are more: then no further image is asked."""
+        """How many training images show a pixel's point, and the largest cosine to its normals, [H, W].
+
+        Both are at least what is enough where that is so, and where a pixel is in no square of ``opened`` that lacks it
+        and has a pixel that is asked for: then no further image is asked. So the order does not matter, and images come
+        first whose depths are there.
+        """
+        near = torch.from_numpy(cv2.dilate(where.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0).to(points.device)
         shape, points, normals = points.shape[:2], points.flatten(0, 1), normals.flatten(0, 1)
-        seen, facing = torch.zeros_like(points[:, 0]), torch.zeros_like(points[:, 0])
-        left = torch.arange(len(points), device=points.device)
-        for index in order:
-            visible = self._seen_there(index, view, points[left, None], self.spectrum)[1][:, 0]
-            towards = (view.viewmat @ self._taken(self.spectrum, index)[0].viewmat.inverse()[:, 3])[:3] - points[left]
+        facing = torch.where(near.flatten(), 0.0, 1.0)
+        seen, left, own = _FEWEST_VIEWS * facing, near.flatten().nonzero()[:, 0], self.spectrum
+        for index in sorted(order, key=lambda index: not self._images.knows_depth(own, index)):
+            visible = self._images.shown(index, view, points[left, None], own)[1][:, 0]
+            eye = self._images.camera(own, index).viewmat.inverse()[:, 3]
+            towards = (view.viewmat @ eye)[:3] - points[left]
             cosine = (towards[:, None] * normals[left]).sum(-1).abs().amax(1) / towards.norm(dim=-1).clamp(min=1e-9)
             seen[left] += visible
             facing[left] = torch.maximum(facing[left], torch.where(visible, cosine, 0.0))
-            left = left[(seen[left] < _FEWEST_VIEWS) | (facing[left] < _LEAST_COSINE)]
+            lacking = ((seen < _FEWEST_VIEWS) | (facing < _LEAST_COSINE)).view(shape)
+            wide = torch.from_numpy(opened(lacking.cpu().numpy())).to(points.device)
+            narrow = (lacking & ~wide).flatten()
+            seen[narrow], facing[narrow] = _FEWEST_VIEWS, 1.0
+            left = wide.flatten().nonzero()[:, 0]
             if not len(left):
                 break
         return seen.view(shape), facing.view(shape)
 
     def _lies_before(
-        self, other: str, view: ViewTensors, depth: Tensor, theirs: Tensor, both: Tensor, order: Sequence[int]
+        self,
+        other: str,
+        view: ViewTensors,
+        depth: Tensor,
+        theirs: Tensor,
+        both: Tensor,
+        order: Sequence[int],
+        where: NDArray[np.bool_],
     ) -> NDArray[np.bool_]:
-        """Where the spectrum sees a surface that another one looks through, [H, W].
+        """Where the spectrum sees a surface that another one looks through, [H, W], of the pixels that are asked for.
 
         What the spectrum itself looks through, as films, is no such place: there it shows what lies behind.
         """
         before = opened((both & (depth > 0) & (theirs > (1 + _DEPTHS_APART) * depth)).cpu().numpy())
         near = [index for index in order if other in self._frames[index].views][:_NEAREST]
-        if not before.any() or not near:
+        if not (before & where).any() or not near:
             return np.zeros_like(before)
         window = 2 * round(_POOLED * view.width / 2) + 1
+        before &= cv2.dilate(where.astype(np.uint8), np.ones((window, window), np.uint8)) > 0  # all that is pooled
 
         def scatter(spectrum: str, at: Tensor, deep: str) -> Array:
-            return scatter_of([self._from_elsewhere(spectrum, index, view, at, deep) for index in near])
+            return scatter_of([self._images.seen_from(spectrum, index, view, at, deep) for index in near])
 
         def pooled(of_some: Array) -> Array:
             everywhere = np.zeros(before.shape)
@@ -329,22 +340,8 @@ class Certainty:
         )
         at_own = pooled(scatter(other, own[mine][:, None], self.spectrum)[:, 0])
         at_theirs = pooled(scatter(other, behind[mine][:, None], other)[:, 0])
-        told: NDArray[np.bool_] = before & (at_own > _AGREES_LESS * at_theirs)
+        told: NDArray[np.bool_] = before & where & (at_own > _AGREES_LESS * at_theirs)
         if told.any():
             thermal = scatter(self.spectrum, behind, other)
             told &= pooled(thermal[before]) > _DISAGREES * float(np.median(thermal))
         return told
-
-    def _surface(self, view: ViewTensors, of_each: Mapping[str, tuple[Tensor, Tensor]] | None = None) -> Tensor:
-        """Depth of what a view sees, [H, W].
-
-        What is as cold as the range's lower end may be transparent in the spectrum: its depth there is another one's.
-        ``of_each`` has the view's ``render_surface`` by spectrum; without it that is rendered where it is needed.
-        """
-        of_each = of_each or {}
-        depth, solid = of_each.get(self.spectrum) or self.model.render_surface(self.spectrum, view)
-        for other in self.model.spectra:
-            if other != self.spectrum and not solid.all():
-                theirs, there = of_each.get(other) or self.model.render_surface(other, view)
-                depth = torch.where(~solid & there, theirs, depth)
-        return depth
