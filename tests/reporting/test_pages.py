@@ -8,7 +8,7 @@ import pytest
 from thermosplat.reporting.blocks import Block, Facts, Heading, Paragraph, Picture, Table
 from thermosplat.reporting.page_html import html_of
 from thermosplat.reporting.page_pdf import pdf_of
-from thermosplat.reporting.texts import _TEXTS, FORM, Words
+from thermosplat.reporting.texts import FORM, TEXTS, Words
 
 HOSTILE = ["<script>alert(1)</script>", "</para><b>", "a & b &lt;", "\x1b[2J\udcff", "Ü " + "x" * 3000, "屋顶 😀 ΔT"]
 
@@ -42,7 +42,7 @@ def test_pages_are_counted() -> None:
 
 def test_both_languages_are_complete() -> None:
     """Each text is there twice, with the same gaps; German numbers have commas."""
-    for english, german in (*_TEXTS.values(), *FORM.values()):
+    for english, german in (*TEXTS.values(), *FORM.values()):
         assert english
         assert german
         assert english.count("{}") == german.count("{}")

@@ -77,10 +77,10 @@ def test_images_tell_whether_spectra_see_different_surfaces(
         size = torch.where(torch.arange(width) < 24, times.get((spectrum, round(at[0, 0, 2].item(), 3)), 1.0), 1.0)
         return (0.1 * index * size).expand(height, width)[..., None]
 
-    monkeypatch.setattr(certainty._images, "seen_from", images)
-    order = range(len(certainty._frames))
+    monkeypatch.setattr(certainty.images, "seen_from", images)
+    order = range(len(certainty.frames))
     everywhere = np.ones((60, 80), bool)
-    found = certainty._lies_before("rgb", view, depth, other_depth, torch.from_numpy(everywhere), order, everywhere)
+    found = certainty.lies_before("rgb", view, depth, other_depth, torch.from_numpy(everywhere), order, everywhere)
     assert found[:, :20].mean() == differ
     assert not found[:, 24:].any()
 
@@ -95,9 +95,9 @@ def test_what_changes_with_direction_is_not_to_be_read(scene, monkeypatch) -> No
         height, width = at.shape[:2]
         return torch.where(mirror[:width], 20.0 + 5.0 * index, 20.0).expand(height, width)[..., None]
 
-    monkeypatch.setattr(certainty._images, "seen_from", images)
+    monkeypatch.setattr(certainty.images, "seen_from", images)
     values = np.full((60, 80), 20.0)
-    doubts = certainty._doubts(view, values, certainty._look(view, values, 0.05, 0.05), 0.05, 0.05)
+    doubts = certainty.doubts_of(view, values, certainty.look_of(view, values, 0.05, 0.05), 0.05, 0.05)
     surface = doubts & NO_SURFACE == 0
     assert surface[:, :20].any()
     assert (doubts[:, :20][surface[:, :20]] & REFLECTING > 0).mean() > 0.9
@@ -119,8 +119,8 @@ def test_a_picture_is_looked_at_once(scene, monkeypatch) -> None:
     """Several measurements of one view ask once; another picture of the same place is looked at anew."""
     certainty, looks = scene.certainties["thermal"], []
     assert certainty.calibration.factors  # looks at held-out views
-    look = certainty._look
-    monkeypatch.setattr(certainty, "_look", lambda *given: looks.append(1) or look(*given))
+    look = certainty.look_of
+    monkeypatch.setattr(certainty, "look_of", lambda *given: looks.append(1) or look(*given))
     view = scene.view(scene.start().viewmat, 50.0, 40, 30)
     values = np.full((30, 40), 20.0)
     first = certainty.of_view(view, values)
@@ -213,7 +213,7 @@ def test_a_training_view_is_not_compared_with_itself(scene) -> None:
     view = view_tensors(frame.views["thermal"], None, "cpu")
     image = scene.model.render({"thermal": view}, sh_degree=1).images["thermal"]
     with torch.no_grad():
-        s = certainty._look(view, np.full(image.shape[:2], 100.0), 0.0, 0.0).s
+        s = certainty.look_of(view, np.full(image.shape[:2], 100.0), 0.0, 0.0).s
     assert np.nanmedian(s) > 50  # its neighbours have 10 to 30 °C
 
 

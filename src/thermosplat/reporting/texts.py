@@ -45,7 +45,7 @@ FORM = {
 }
 """What a full report after EN 13187 or ISO 6781-1 tells, by names of report.yaml. These are our words, not theirs."""
 
-_TEXTS = {
+TEXTS = {
     "report": ("Thermography report", "Thermografiebericht"),
     "overview": ("Overview", "Überblick"),
     "capture": ("Capture", "Aufnahme"),
@@ -195,7 +195,7 @@ class Words:
         self.language = language
 
     def __getitem__(self, name: str) -> str:
-        return _TEXTS[name][self._column]
+        return TEXTS[name][self._column]
 
     def field(self, name: str) -> str:
         """The label of a field of the form."""

@@ -30,6 +30,7 @@ from torch import Tensor
 from thermosplat.datasets.capture import Capture, Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, view_tensors
 from thermosplat.errors import UserError
+from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.runs.atomic_writes import write_text
 from thermosplat.scene.model import SceneModel
 from thermosplat.thermal.intensity import pixel_intensity
@@ -83,7 +84,7 @@ class Sure:
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class Look:
     """What a view and the training images nearest to it say of its values, all [H, W]."""
 
     surfaces: Mapping[str, tuple[Tensor, Tensor]]
@@ -111,6 +112,9 @@ class Certainty:
         sh_degree: Highest SH degree in use.
         device: Where the model is.
         keep: File of the calibration; None: it is made anew. Where there is none it is made and written.
+
+    Attributes:
+        frames: The training frames that have the spectrum; ``images`` holds their images.
     """
 
     def __init__(
@@ -126,18 +130,18 @@ class Certainty:
     ) -> None:
         self.model, self.capture, self.spectrum, self.scale = model, capture, spectrum, scale
         self._sh_degree, self._device, self._keep = sh_degree, device, keep
-        self._frames = [frame for frame in capture.train if spectrum in frame.views]
-        if not self._frames:
+        self.frames = [frame for frame in capture.train if spectrum in frame.views]
+        if not self.frames:
             raise UserError(f"{capture.root} has no {spectrum} images to compare with.")
-        self._poses = np.stack([frame.views[spectrum].viewmat for frame in self._frames])
+        self._poses = np.stack([frame.views[spectrum].viewmat for frame in self.frames])
         places = np.linalg.inv(self._poses)[:, :3, 3]
         apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
         np.fill_diagonal(apart, np.inf)
         self._spacing = float(np.median(apart.min(axis=1))) if len(places) > 1 else 1.0
-        self._images = TrainingImages(model, self._frames, spectrum, scale, device)
+        self.images = TrainingImages(model, self.frames, spectrum, scale, device)
         self._calibration: Calibration | None = None
         self._last = b"", Sure(np.zeros((0, 0)), np.zeros((0, 0), np.uint8))  # several measurements are of one view
-        self._looks: dict[bytes, _Look] = {}
+        self._looks: dict[bytes, Look] = {}
 
     @torch.no_grad()
     def of_view(self, view: ViewTensors, values: NDArray[np.floating], where: NDArray[np.bool_] | None = None) -> Sure:
@@ -153,10 +157,10 @@ class Certainty:
         asked = key if where is None else key + where.tobytes()
         if asked != self._last[0]:
             known, shown = self.calibration, values.astype(np.float64)
-            look = self._looks.pop(key, None) or self._look(view, shown, known.noise, known.level)
+            look = self._looks.pop(key, None) or self.look_of(view, shown, known.noise, known.level)
             if where is not None:  # by a report, in small pictures
                 self._looks = dict([*self._looks.items(), (key, look)][-_MOST_LOOKS:])
-            doubts = self._doubts(view, shown, look, known.noise, known.level, where)
+            doubts = self.doubts_of(view, shown, look, known.noise, known.level, where)
             self._last = asked, Sure(known.half_width(look.s), doubts)
         return self._last[1]
 
@@ -170,7 +174,7 @@ class Certainty:
         """What held-out views say; found when it is first asked for."""
         if self._calibration is None:
             known = None if self._keep is None else read_calibration(self._keep)
-            self._calibration = known or self.calibrated(list(self.capture.test) or self._frames)
+            self._calibration = known or self.calibrated(list(self.capture.test) or self.frames)
             if known is None and self._keep is not None:
                 write_text(self._keep, json.dumps(asdict(self._calibration)) + "\n")
         return self._calibration
@@ -182,16 +186,15 @@ class Certainty:
         Args:
             frames: Views that the scene was not trained on.
         """
-        looked_at = range(0, len(self._frames), max(1, len(self._frames) // _MOST_LEVELS))
-        levels = np.array([self._level(index) for index in looked_at])
+        levels = np.array([self._level(index) for index in evenly_chosen(range(len(self.frames)), _MOST_LEVELS)])
         level = float(np.std(levels))
-        learnt = self._frames[:: max(1, len(self._frames) // _MOST_CALIBRATING)]
+        learnt = self.frames[:: max(1, len(self.frames) // _MOST_CALIBRATING)]
         noise = float(np.median([noise_of(self._measured_in(frame)[1].double().numpy(force=True)) for frame in learnt]))
         held_out = [frame for frame in frames if self.spectrum in frame.views]
         views = []
         for frame in held_out[:: max(1, len(held_out) // _MOST_CALIBRATING)]:
             view, rendered, expected = self._compared(frame)
-            s = self._look(view, rendered, noise, level).s
+            s = self.look_of(view, rendered, noise, level).s
             there = np.isfinite(s) & np.isfinite(expected)
             views.append((s[there], (rendered - expected)[there]))
         return calibration(noise, levels, views)
@@ -199,8 +202,8 @@ class Certainty:
     def compared(self, frame: Frame, calibration: Calibration) -> tuple[Array, Array, NDArray[np.uint8]]:
         """Errors [H, W], halves of the intervals and doubts of a view that has an image."""
         view, rendered, expected = self._compared(frame)
-        look = self._look(view, rendered, calibration.noise, calibration.level)
-        doubts = self._doubts(view, rendered, look, calibration.noise, calibration.level)
+        look = self.look_of(view, rendered, calibration.noise, calibration.level)
+        doubts = self.doubts_of(view, rendered, look, calibration.noise, calibration.level)
         return rendered - expected, calibration.half_width(look.s), doubts
 
     def _compared(self, frame: Frame) -> tuple[ViewTensors, Array, Array]:
@@ -215,25 +218,25 @@ class Certainty:
 
     def _level(self, index: int) -> float:
         """What the scene is wrong by in a training view as a whole."""
-        camera, values = self._images.camera(self.spectrum, index), self._images.picture(self.spectrum, index)
+        camera, values = self.images.camera(self.spectrum, index), self.images.picture(self.spectrum, index)
         return float(np.nanmedian(self._rendered(camera) - values[..., 0].double().cpu().numpy()))
 
     def _measured_in(self, frame: Frame) -> tuple[ViewTensors, Tensor]:
         view = view_tensors(frame.views[self.spectrum], None, self._device)
-        return view, self._images.measured(view)
+        return view, self.images.measured(view)
 
     def _nearest(self, view: ViewTensors) -> list[int]:
         """Training views by how far they were taken from a view, without itself."""
         apart = pose_distances(self._poses, view.viewmat.cpu().numpy(), self._spacing)
         return [int(index) for index in np.argsort(apart) if apart[index] > 1e-4][:_LOOKED_AT]
 
-    def _look(self, view: ViewTensors, values: Array, noise: float, level: float) -> _Look:
+    def look_of(self, view: ViewTensors, values: Array, noise: float, level: float) -> Look:
         """How wrong a picture's values [H, W] may be, by the noise of the sensor and the level's spread."""
         own, surfaces = self.spectrum, Surfaces(self.model, view)
         depth, order = surface_of(own, surfaces), self._nearest(view)
         shown = torch.as_tensor(values, dtype=torch.float32, device=depth.device)
         points = camera_points(view, depth)
-        nearest = [self._images.seen_from(own, one, view, points, own) for one in order[:_NEAREST]]
+        nearest = [self.images.seen_from(own, one, view, points, own) for one in order[:_NEAREST]]
         spread, scatter = np.zeros(values.shape), np.zeros(values.shape)
         if nearest:
             squares = (torch.stack(nearest)[..., 0] - shown).square().nanmean(dim=0)
@@ -242,18 +245,18 @@ class Certainty:
         slope = np.hypot(*np.gradient(np.nan_to_num(values, nan=float(np.nanmedian(values)))))
         s = np.sqrt(noise**2 + level**2 + spread**2 + (slope / 2) ** 2)
         surface = (depth > 0).cpu().numpy() & np.isfinite(values)
-        return _Look(surfaces, depth, np.where(surface, s, np.nan), surface, slope, scatter)
+        return Look(surfaces, depth, np.where(surface, s, np.nan), surface, slope, scatter)
 
-    def _doubts(
+    def doubts_of(
         self,
         view: ViewTensors,
         values: Array,
-        look: _Look,
+        look: Look,
         noise: float,
         level: float,
         where: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.uint8]:
-        """Why values [H, W] should not be read; arguments as of ``of_view`` and ``_look``."""
+        """Why values [H, W] should not be read; arguments as of ``of_view`` and ``look_of``."""
         where = np.ones(values.shape, bool) if where is None else where
         depth, surfaces, order = look.depth, look.surfaces, self._nearest(view)
         normals = [normals_of(surfaces[name][0], view) for name in self.model.spectra]  # any may be rough
@@ -268,8 +271,8 @@ class Certainty:
         doubts[opened(scatter > _TIMES_USUAL * np.hypot(beside, max(usual, noise, level)))] |= REFLECTING
         for other in set(self.model.spectra) - {self.spectrum}:
             (_, solid), (theirs, there) = surfaces[self.spectrum], surfaces[other]
-            doubts[self._lies_before(other, view, depth, theirs, solid & there, order, where)] |= DEPTHS_DIFFER
-        focal = float(self._frames[order[0] if order else 0].views[self.spectrum].camera.K[0, 0])
+            doubts[self.lies_before(other, view, depth, theirs, solid & there, order, where)] |= DEPTHS_DIFFER
+        focal = float(self.frames[order[0] if order else 0].views[self.spectrum].camera.K[0, 0])
         doubts[stands_out(values, noise, depth, view, focal)] |= SMALL
         doubts[~surface] = NO_SURFACE
         return doubts
@@ -287,9 +290,9 @@ class Certainty:
         shape, points, normals = points.shape[:2], points.flatten(0, 1), normals.flatten(0, 1)
         facing = torch.where(near.flatten(), 0.0, 1.0)
         seen, left, own = _FEWEST_VIEWS * facing, near.flatten().nonzero()[:, 0], self.spectrum
-        for index in sorted(order, key=lambda index: not self._images.knows_depth(own, index)):
-            visible = self._images.shown(index, view, points[left, None], own)[1][:, 0]
-            eye = self._images.camera(own, index).viewmat.inverse()[:, 3]
+        for index in sorted(order, key=lambda index: not self.images.knows_depth(own, index)):
+            visible = self.images.shown(index, view, points[left, None], own)[1][:, 0]
+            eye = self.images.camera(own, index).viewmat.inverse()[:, 3]
             towards = (view.viewmat @ eye)[:3] - points[left]
             cosine = (towards[:, None] * normals[left]).sum(-1).abs().amax(1) / towards.norm(dim=-1).clamp(min=1e-9)
             seen[left] += visible
@@ -303,7 +306,7 @@ class Certainty:
                 break
         return seen.view(shape), facing.view(shape)
 
-    def _lies_before(
+    def lies_before(
         self,
         other: str,
         view: ViewTensors,
@@ -318,14 +321,14 @@ class Certainty:
         What the spectrum itself looks through, as films, is no such place: there it shows what lies behind.
         """
         before = opened((both & (depth > 0) & (theirs > (1 + _DEPTHS_APART) * depth)).cpu().numpy())
-        near = [index for index in order if other in self._frames[index].views][:_NEAREST]
+        near = [index for index in order if other in self.frames[index].views][:_NEAREST]
         if not (before & where).any() or not near:
             return np.zeros_like(before)
         window = 2 * round(_POOLED * view.width / 2) + 1
         before &= cv2.dilate(where.astype(np.uint8), np.ones((window, window), np.uint8)) > 0  # all that is pooled
 
         def scatter(spectrum: str, at: Tensor, deep: str) -> Array:
-            return scatter_of([self._images.seen_from(spectrum, index, view, at, deep) for index in near])
+            return scatter_of([self.images.seen_from(spectrum, index, view, at, deep) for index in near])
 
         def pooled(of_some: Array) -> Array:
             everywhere = np.zeros(before.shape)
