@@ -9,7 +9,7 @@ import torch
 from scenes.trained_scene import distant_camera, read_ply, trained_scene
 from thermosplat.config import TrainConfig
 from thermosplat.config.files import to_dict
-from thermosplat.export.formats.ply import properties, write_splats
+from thermosplat.export.formats.ply import PROPERTIES, write_splats
 from thermosplat.export.splats import Splats
 from thermosplat.runs.checkpoint_file import save_checkpoint
 from thermosplat.scene.formations.scene_formations import Formations
@@ -40,7 +40,7 @@ def test_an_exported_ply_is_read_back(tmp_path: Path) -> None:
     """Means, scales, opacities and all SH coefficients survive."""
     splats = Splats(**parameters(12, 16))
     path = write_splats(tmp_path / "chair.ply", splats, ["a comment"]).path
-    assert tuple(read_ply(path)) == properties(15)
+    assert tuple(read_ply(path)) == PROPERTIES
     scene = trained_scene(path)
     assert scene.name == "trained chair"
     torch.testing.assert_close(scene.means, splats.means)

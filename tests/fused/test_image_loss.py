@@ -4,9 +4,8 @@ import kornia
 import pytest
 import torch
 
-from compared_images import image_loss
-from thermosplat.fused.image_loss import ImageTerm, warp_image_losses
-from thermosplat.losses.image_terms import smoothness
+from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
+from thermosplat.losses.image_terms import image_loss, smoothness
 
 
 def _images(height: int, width: int, channels: int, device: torch.device, dtype: torch.dtype) -> list[torch.Tensor]:
@@ -15,10 +14,6 @@ def _images(height: int, width: int, channels: int, device: torch.device, dtype:
     render = target + 0.2 * torch.randn(height, width, channels, generator=generator, dtype=torch.float64)
     render[: height // 2, :3] = target[: height // 2, :3]  # equal pixels: |0| has gradient 0
     return [render.to(device, dtype), target.to(device, dtype)]
-
-
-def warp_image_loss(render: torch.Tensor, target: torch.Tensor, ssim_lambda: float) -> torch.Tensor:
-    return warp_image_losses([ImageTerm("image", 1.0, render, target)], ssim_lambda).losses[0]
 
 
 @pytest.mark.parametrize("ssim_lambda", [0.0, 0.2, 1.0])

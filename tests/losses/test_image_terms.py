@@ -7,11 +7,10 @@ import pytest
 import torch
 from kornia.losses import ssim_loss
 
-from compared_images import image_loss
 from direct_ssim import direct_ssim
 from thermosplat.config import LossConfig, TrainConfig
 from thermosplat.datasets.frame_tensors import FrameTensors
-from thermosplat.losses.image_terms import compare_frame, smoothness
+from thermosplat.losses.image_terms import compare_frame, image_loss, smoothness
 from thermosplat.scene.rendered_frame import RenderedFrame
 from toy_scene import toy_capture, toy_config, toy_frame, toy_model, with_spectra
 

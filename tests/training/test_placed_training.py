@@ -14,7 +14,7 @@ from thermosplat.datasets import load_capture
 from thermosplat.datasets.placement import WORLD, Placement
 from thermosplat.evaluation.held_out import evaluate
 from thermosplat.evaluation.loaded_run import load_run
-from thermosplat.export.formats.ply import properties
+from thermosplat.export.formats.ply import PROPERTIES
 from thermosplat.runs.checkpoint import SavedModel
 from thermosplat.runs.run_directory import RunDirectory
 from thermosplat.training.trainer import Trainer
@@ -40,7 +40,7 @@ def trained(folder: Path, world: Placement) -> Outcome:
     trainer.results.exporting()()
     metrics = evaluate(trainer.model, trainer.capture, sh_degree=trainer.sh_degree)
     content = (trainer.run.ply / "splat_rgb.ply").read_bytes().partition(b"end_header\n")[2]
-    return Outcome(metrics, np.frombuffer(content, "<f4").reshape(-1, len(properties(15))), trainer)
+    return Outcome(metrics, np.frombuffer(content, "<f4").reshape(-1, len(PROPERTIES)), trainer)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_capture_trains_alike_in_every_world(name: str, usual: Outcome, tmp_pa
     assert len(found.splats) == len(usual.splats)
     positions, expected = found.splats[:, :3].astype(np.float64) + origin, world.to_world(usual.splats[:, :3])
     np.testing.assert_allclose(positions, expected, rtol=0, atol=1e-3 * world.unit)
-    scales = [properties(15).index(f"scale_{axis}") for axis in range(3)]
+    scales = [PROPERTIES.index(f"scale_{axis}") for axis in range(3)]
     np.testing.assert_allclose(found.splats[:, scales], usual.splats[:, scales] + np.log(world.unit), atol=1e-2)
 
 

@@ -57,12 +57,26 @@ class ImageLosses(NamedTuple):
     """Mean squared error of each term's image, clamped to [0, 1]; without weights and gradients."""
 
 
+def warp_image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
+    """(1 - λ_s) |render - target|_1 + λ_s (1 - SSIM), each the mean over pixels and channels (equation 9).
+
+    The same number and gradient as ``ssim_map`` gives in ``losses.image_loss``, to rounding.
+
+    Args:
+        render: Rendered image, shape [H, W, C], H and W > 5; a view with strides is fine. Receives a gradient.
+        target: Ground truth in [0, 1], shape [H, W, C].
+        ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
+
+    Returns:
+        The loss, a scalar.
+    """
+    return warp_image_losses([ImageTerm("image", 1.0, render, target)], ssim_lambda).losses[0]
+
+
 def warp_image_losses(
     terms: Sequence[ImageTerm], ssim_lambda: float, *, smoothed: int | None = None, smoothness: float = 0.0
 ) -> ImageLosses:
-    """Image losses of several images of one size, by the same few kernels: (1 - λ_s) L1 + λ_s (1 - SSIM) (equation 9).
-
-    The same numbers and gradients as ``ssim_map`` gives in ``losses.image_terms``, to rounding.
+    """Image losses of several images of one size, by the same few kernels.
 
     Args:
         terms: At least one; the kernels compare ``TERMS`` of them in a launch. Their images receive gradients.

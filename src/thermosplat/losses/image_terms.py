@@ -14,7 +14,7 @@ from kornia.losses import total_variation
 from torch import Tensor
 
 from thermosplat.config import TrainConfig
-from thermosplat.fused.image_loss import ImageTerm, warp_image_losses
+from thermosplat.fused.image_loss import ImageTerm, warp_image_loss, warp_image_losses
 from thermosplat.image_quality.ssim import ssim_map
 from thermosplat.scene.formations.formation import LossTerm, masked
 from thermosplat.scene.formations.formation import image_terms as terms_of_image
@@ -55,6 +55,21 @@ class ComparedFrame:
     spectra: dict[str, str]
     squared_errors: dict[str, Tensor]
     """Mean squared error of the images clamped to [0, 1], by spectrum; no gradient reaches it."""
+
+
+def image_loss(render: Tensor, target: Tensor, ssim_lambda: float) -> Tensor:
+    """(1 - λ_s) |render - target|_1 + λ_s (1 - SSIM), each the mean over pixels and channels (equation 9).
+
+    Args:
+        render: Rendered image, shape [H, W, C], H and W > 5.
+        target: Ground truth in [0, 1], shape [H, W, C].
+        ssim_lambda: λ_s, the share of the SSIM term, 0 to 1.
+
+    Returns:
+        The loss, a scalar.
+    """
+    term = ImageTerm("image", 1.0, render, target)
+    return warp_image_loss(render, target, ssim_lambda) if render.is_cuda else _filtered([term], ssim_lambda)["image"]
 
 
 def compare_frame(

@@ -34,6 +34,9 @@ def properties(rest_coefficients: int) -> tuple[str, ...]:
     )
 
 
+PROPERTIES = properties(REST_COEFFICIENTS)
+
+
 @torch.no_grad()
 def write_splats(
     path: Path,
