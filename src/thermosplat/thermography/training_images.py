@@ -93,10 +93,7 @@ class TrainingImages:
 
     def _picture(self, spectrum: str, index: int) -> Tensor:
         """Values of the measured spectrum, else colours in [0, 1], [H, W, C]."""
-        view, camera = (
-            view_tensors(self._frames[index].views[spectrum], None, self._device),
-            self.camera(spectrum, index),
-        )
+        view = view_tensors(self._frames[index].views[spectrum], None, self._device)
         shown = self.measured(view)[..., None] if spectrum == self._spectrum else view.image
         assert shown is not None  # noqa: S101  a view of a capture
         camera = self.camera(spectrum, index)
