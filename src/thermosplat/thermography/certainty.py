@@ -90,7 +90,7 @@ class Look:
     surfaces: Mapping[str, tuple[Tensor, Tensor]]
     """By spectrum, as of ``render_surface``."""
     depth: Tensor
-
+    nearest: Sequence[int]  # training views by how far they were taken from it
     s: Array
     """NaN where there is no surface."""
     surface: NDArray[np.bool_]
@@ -245,7 +245,7 @@ class Certainty:
         slope = np.hypot(*np.gradient(np.nan_to_num(values, nan=float(np.nanmedian(values)))))
         s = np.sqrt(noise**2 + level**2 + spread**2 + (slope / 2) ** 2)
         surface = (depth > 0).cpu().numpy() & np.isfinite(values)
-        return Look(surfaces, depth, np.where(surface, s, np.nan), surface, slope, scatter)
+        return Look(surfaces, depth, order, np.where(surface, s, np.nan), surface, slope, scatter)
 
     def doubts_of(
         self,
@@ -258,7 +258,7 @@ class Certainty:
     ) -> NDArray[np.uint8]:
         """Why values [H, W] should not be read; arguments as of ``of_view`` and ``look_of``."""
         where = np.ones(values.shape, bool) if where is None else where
-        depth, surfaces, order = look.depth, look.surfaces, self._nearest(view)
+        depth, surfaces, order = look.depth, look.surfaces, look.nearest
         normals = [normals_of(surfaces[name][0], view) for name in self.model.spectra]  # any may be rough
         seen, facing = self._seen_well(view, camera_points(view, depth), torch.stack(normals, dim=2), order, where)
         doubts = np.zeros(values.shape, np.uint8)
