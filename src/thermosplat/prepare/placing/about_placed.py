@@ -12,7 +12,7 @@ from thermosplat.prepare.placing.adjustment import FINE_STEPS, PLAIN_STEPS, Adju
 from thermosplat.prepare.placing.lone_search import REACH, TURNS, best_pose
 from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field, Trial, best_trial
 from thermosplat.prepare.placing.straight_pieces import straight_pieces
-from thermosplat.prepare.placing.thermal_looks import EDGES_OF, EDGES_OF_PLAIN, Scene, ThermalImage, shown_by
+from thermosplat.prepare.placing.thermal_looks import EDGES_OF, EDGES_OF_PLAIN, Scene, Shown, ThermalImage, shown_by
 from thermosplat.prepare.placing.world_edges import Photographs, Pose
 from thermosplat.prepare.progress import progress_bar
 from thermosplat.prepare.registration.edge_correlation import FOCAL_LENGTHS, QUARTERS, edge_field, turn_about_axis
@@ -58,7 +58,7 @@ def about_placed(photographs: Photographs, images: Sequence[ThermalImage], prior
     scene = Scene(photographs, images, prior.places, prior.least, EDGES_OF_PLAIN)
     known = Adjusted(_first_lens(scene, fields), {}, np.zeros(3), prior.deviation)
     everyone = range(len(images))
-    with progress_bar("places", (_PLAIN + 1) * len(images)) as advance:
+    with progress_bar("places", _PLAIN * len(images)) as advance:
         for round_number in range(_PLAIN):
             turns, reach = (TURNS, REACH) if round_number else (_FIRST_TURNS, _FIRST_REACH)
             trials = {}
@@ -68,16 +68,30 @@ def about_placed(photographs: Photographs, images: Sequence[ThermalImage], prior
                 advance(1)
             poses = {number: trial.pose for number, trial in trials.items()}
             known = adjusted(scene, replace(known, poses=poses, deviation=prior.deviation), PLAIN_STEPS)
-        clear = [number for number, trial in trials.items() if trial.clear > _CLEAR]
-        scene = scene._replace(edges_of=EDGES_OF)
-        shown = shown_by(scene, known.poses, known.lens, clear)
-        pieces = straight_pieces(prior.places)
-        poses = {}
-        for number in everyone:
-            directions = [known.poses[one].rotation for one in _beside(number, pieces, clear)]
-            poses[number] = best_pose(scene, number, fields[number], known, shown.without(number), directions)
+    clear = [number for number, trial in trials.items() if trial.clear > _CLEAR]
+    scene = scene._replace(edges_of=EDGES_OF)
+    shown = shown_by(scene, known.poses, known.lens, clear)
+    known = replace(known, poses=searched_by_temperature(scene, known, shown, everyone))
+    return scene, adjusted(scene, known, FINE_STEPS, shown)
+
+
+def searched_by_temperature(scene: Scene, known: Adjusted, shown: Shown, numbers: Sequence[int]) -> dict[int, Pose]:
+    """The poses of some images by the edges that trusted ones show, which also tell their directions.
+
+    Args:
+        scene: Edges and places.
+        known: All poses so far.
+        shown: What trusted images show.
+        numbers: The images that are searched.
+    """
+    pieces, poses = straight_pieces(scene.places), {}
+    with progress_bar("places again", len(numbers)) as advance:
+        for number in numbers:
+            field = edge_field(scene.images[number].slopes, working_width=SEARCH_WIDTH)
+            directions = [known.poses[one].rotation for one in _beside(number, pieces, list(shown.images))]
+            poses[number] = best_pose(scene, number, field, known, shown.without(number), directions)
             advance(1)
-    return scene, adjusted(scene, replace(known, poses=poses), FINE_STEPS, shown)
+    return poses
 
 
 def _first_lens(scene: Scene, fields: Sequence[Field]) -> RigCamera:

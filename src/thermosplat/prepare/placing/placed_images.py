@@ -14,12 +14,13 @@ what thermal images show alike:
    should. It shows edges and a look. Nothing was drawn to looks so far, so that wrong images with many edges look
    unlike the others.
 5. The placed ones are adjusted together by edges and looks, and judged again.
+6. What is not placed is searched once more by what the placed ones show now, and all are adjusted and judged again.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from thermosplat.prepare.placing.about_placed import Prior, about_placed
+from thermosplat.prepare.placing.about_placed import Prior, about_placed, searched_by_temperature
 from thermosplat.prepare.placing.adjustment import ALL, Adjusted, Step, adjusted
 from thermosplat.prepare.placing.by_paths import placed_again, prior_on_path
 from thermosplat.prepare.placing.soundness import sound
@@ -60,11 +61,19 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
         gps: Where GPS has each in the world, [N, 3]; None: they lie on a path past the photographs.
     """
     if gps is not None:
-        return _by_looks(*about_placed(photographs, images, Prior(gps, _DEVIATION, _LEAST_DEVIATION)))
-    scene, known = about_placed(photographs, images, prior_on_path(photographs, images))
-    for everyone in _AGAIN:
-        scene, known = placed_again(scene, known, everyone)
-    return _by_looks(scene, known)
+        scene, known = about_placed(photographs, images, Prior(gps, _DEVIATION, _LEAST_DEVIATION))
+    else:
+        scene, known = about_placed(photographs, images, prior_on_path(photographs, images))
+        for everyone in _AGAIN:
+            scene, known = placed_again(scene, known, everyone)
+    placed = _by_looks(scene, known)
+    missing = [number for number in known.poses if number not in placed.right]
+    if not placed.right or not missing:
+        return placed
+    shown = shown_by(scene, placed.known.poses, placed.known.lens, placed.right)
+    poses = {**known.poses, **placed.known.poses}
+    poses |= searched_by_temperature(scene, replace(placed.known, poses=poses), shown, missing)
+    return _by_looks(scene, replace(placed.known, poses=poses))
 
 
 def _by_looks(scene: Scene, known: Adjusted) -> Placement:

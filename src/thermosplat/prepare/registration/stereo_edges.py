@@ -30,6 +30,9 @@ _OUTLINE, _STEP_OF_OUTLINE, _LEAST_STEP = 9, 0.08, 1.5
 cold, things differ from what is behind them more often than print differs from print."""
 _LOW, _HIGH = 3.0, 6.0
 """Thresholds of Canny's detector [grey levels per pixel]."""
+_COARSE = 4.0
+"""Standard deviation [px] of the blur that takes grain away and leaves contours of what is large enough to have a
+temperature of its own. Open choice."""
 _SIDES_LIMIT = 2000
 """Largest extent [px] of a rectified photograph from its centre, for baselines that nearly point along the view."""
 
@@ -67,8 +70,8 @@ def photograph_edges(
         for number, image in enumerate(images):
             partner = _partner(model, image, images, seen)
             if partner is not None:
-                points, along, outline = _edges(model, image, partner, folder, width)
-                chosen = _chosen(outline, most)
+                points, along, outline, strength = _edges(model, image, partner, folder, width)
+                chosen = chosen_edges(outline, strength, most)
                 found.append(EdgePoints(np.full(len(chosen), number), points[chosen], along[chosen]))
             advance(1)
     empty = EdgePoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
@@ -76,12 +79,14 @@ def photograph_edges(
     return EdgePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("frame", "points", "along")))
 
 
-def _chosen(outline: NDArray[np.bool_], most: int) -> NDArray[np.int64]:
-    """At most so many points by a fixed seed: half of them on outlines, if there are so many."""
+def chosen_edges(outline: NDArray[np.bool_], strength: NDArray[np.float32], most: int) -> NDArray[np.int64]:
+    """At most so many points by a fixed seed: half of them on outlines, if there are so many, others by strength."""
     generator = np.random.default_rng(0)
-    on, off = (generator.permutation(np.flatnonzero(kind)) for kind in (outline, ~outline))
+    on, off = generator.permutation(np.flatnonzero(outline)), np.flatnonzero(~outline)
     first = on[: max(most // 2, most - len(off))]
-    return np.concatenate([first, off[: most - len(first)]])
+    likely = strength[off] + 1e-6
+    others = generator.choice(off, min(most - len(first), len(off)), replace=False, p=likely / likely.sum())
+    return np.concatenate([first, others])
 
 
 def _points_of(image: pycolmap.Image) -> set[int]:
@@ -123,8 +128,11 @@ class _Box:
 
 def _edges(
     model: pycolmap.Reconstruction, image: pycolmap.Image, partner: pycolmap.Image, folder: Path, width: int
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Edge points of one photograph, points along their edges, in its camera's axes, and which are on outlines."""
+) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.float32]]:
+    """Edge points of one photograph, points along their edges, in its camera's axes.
+
+    Which of them are on outlines, and how steep the blurred photograph is there [grey levels per pixel].
+    """
     camera = model.cameras[image.camera_id]
     f = camera.mean_focal_length() * min(1.0, width / camera.width)
     left_axes, right_axes, baseline = _rectifying(image, partner)
@@ -166,7 +174,21 @@ def _edges(
         np.column_stack([(p + corner) / f, np.ones(len(p))]) * depth[:, None] @ left_axes
         for p in (pixels, pixels + 2 * tangents)
     )
-    return points, along, outline
+    return points, along, outline, contour_strength(left)[at[:, 1], at[:, 0]]
+
+
+def contour_strength(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """How steep a blurred photograph [H, W, 3] is in its steepest channel [grey levels per pixel], [H, W].
+
+    Contours of a road or a roof keep their slope where grain of asphalt, which has far more edges, loses its own.
+    """
+    return np.asarray(np.hypot(*_slopes(image, _COARSE)).max(2), np.float32)
+
+
+def _slopes(image: NDArray[np.uint8], blur: float) -> list[NDArray[np.float32]]:
+    """Slopes [grey levels per pixel] along rows and columns of each channel, [H, W, 3]."""
+    smooth = cv2.GaussianBlur(image, (0, 0), blur).astype(np.float32)
+    return [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) / 8) for order in ((1, 0), (0, 1))]
 
 
 def _step(disparity: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -233,8 +255,7 @@ def _rectified(path: Path, camera: pycolmap.Camera, axes: Array, box: _Box, f: f
 
 def _canny(image: NDArray[np.uint8], usable: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Edge positions [N, 2] to a fraction of a pixel (centres at halves), and unit normals [N, 2]."""
-    smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
-    slopes = [cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))]
+    slopes = _slopes(image, 1.0)
     channel = (slopes[0] ** 2 + slopes[1] ** 2).argmax(2)[..., None]
     gx, gy = (np.take_along_axis(slope, channel, 2)[..., 0] for slope in slopes)
     scaled = [np.clip(g * 64, -32000, 32000).astype(np.int16) for g in (gx, gy)]
