@@ -70,7 +70,7 @@ def gaussian_kernels(dtype: type) -> list[wp.Kernel]:
     kernels.append(finish_moments_kernel(dtype))
     kernels += activation_kernels(dtype)
     kernels += [strand_sum_kernel(dtype, 3), strand_sum_kernel(wp.float64, CAMERA_RECORD)]
-    kernels.append(median_depth_kernel(dtype))
+    kernels.append(median_depth_kernel(dtype, 1))
     for hits, normals in ((False, False), (True, True)):
         along = RayVariant(3, hits, normals, dtype)
         kernels += [ray_blend_kernel(along), ray_blend_adjoint_kernel(along)]
@@ -113,7 +113,7 @@ def test_a_kernel_of_each_kind_compiles_for_every_architecture(arch: int, tmp_pa
     kernels += [projection_adjoint_kernel(dtype, "pinhole", False, True, True), camera_finish_kernel(dtype)]
     kernels += [color_kernel(dtype, True, ColorVariant(ALL)), color_adjoint_kernel(dtype, ColorVariant(ALL))]
     kernels += [blend_kernel(variant), blend_adjoint_kernel(variant, False, False), ray_blend_adjoint_kernel(along)]
-    kernels += [distribute_kernel(11, 8, dtype, True, 8, 3), median_depth_kernel(dtype)]
+    kernels += [distribute_kernel(11, 8, dtype, True, 8, 3), median_depth_kernel(dtype, 1)]
     if layout.segment > 0:
         kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
     for model in ("pinhole", "fisheye"):  # a fraction and an angle

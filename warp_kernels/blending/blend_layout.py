@@ -74,13 +74,17 @@ class BlendLayout:
         # No fast_math: the adjoint divides its way back through the transmittance, and approximate division would let
         # the error grow with every layer.
         options: dict = {"block_dim": self.threads, "fast_math": False, "max_unroll": 64}
-        if self.lanes == 1:
-            # The column loop must stay rolled, or clang does not vectorise it.
-            options["max_unroll"] = min(15, self.columns - 1)
-            if widest_vectors:
-                flags = wp.config.cpu_compiler_flags
-                options["cpu_compiler_flags"] = f"{'-march=native' if flags is None else flags} {WIDEST_VECTORS}"
-        return options
+        return options | (vectorized(self.columns, widest=widest_vectors) if self.lanes == 1 else {})
+
+
+def vectorized(columns: int, *, widest: bool = True) -> dict:
+    """Warp options of a kernel for CPUs whose innermost loop over so many pixels is to become vectors."""
+    # The loop must stay rolled, or clang does not vectorise it.
+    options: dict = {"fast_math": False, "max_unroll": min(15, columns - 1)}
+    if widest:
+        flags = wp.config.cpu_compiler_flags
+        options["cpu_compiler_flags"] = f"{'-march=native' if flags is None else flags} {WIDEST_VECTORS}"
+    return options
 
 
 _layout = functools.lru_cache(maxsize=256)(BlendLayout)

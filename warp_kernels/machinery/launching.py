@@ -188,16 +188,24 @@ def launch_again(kernel: wp.Kernel, dim: Dim, inputs: list[Any], device: wp.Devi
     recorded.launch(dim, inputs)
 
 
-def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: wp.Device, block: int | None = None) -> None:
+def launch(
+    kernel: wp.Kernel,
+    count: int,
+    inputs: list[Any],
+    device: wp.Device,
+    block: int | None = None,
+    chunk: int = MIN_CHUNK,
+) -> None:
     """Launches ``kernel`` once per index, without recording it on a tape.
 
     Args:
         kernel: its first argument is the first index of the range; ``inputs`` are the others, outputs included.
         block: threads a block on CUDA; None for Warp's default.
+        chunk: indices that a CPU's thread takes at least.
     """
     on_cpu = device.alias == "cpu"
-    if on_cpu and count >= 2 * MIN_CHUNK and _num_threads > 1:
-        _spread(kernel, count, count // MIN_CHUNK, None, inputs, device)
+    if on_cpu and count >= 2 * chunk and _num_threads > 1:
+        _spread(kernel, count, count // chunk, None, inputs, device)
     else:
         launch_again(kernel, count, [0, *inputs], device, None if on_cpu else block)
 

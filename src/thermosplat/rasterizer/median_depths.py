@@ -13,7 +13,7 @@ from torch import Tensor
 from thermosplat.rasterizer.projected_scene import ProjectedScene
 from thermosplat.torch_bridge.arrays import kinds_of, view
 from thermosplat.torch_bridge.streams import launches_on_torch_stream
-from warp_kernels.blending.median_depth import median_depth_kernel
+from warp_kernels.blending.median_depth import median_block, median_depth_kernel
 from warp_kernels.machinery.launching import launch
 
 
@@ -52,5 +52,8 @@ def covered_depths(scene: ProjectedScene) -> tuple[Tensor, Tensor]:
         arrays += [view(lists.tensors[name], wp.int32) for name in ("gaussian_ids", "tile_offsets")]
         sizes = [bins.tiles_x, bins.tiles_y, bins.tile_size, settings.width, settings.height]
         outputs = [view(found, kinds.scalar), view(covered, wp.int32)]
-        launch(median_depth_kernel(kinds.scalar), found.numel(), [*sizes, *arrays, *outputs], device)
+        edge = median_block(device)
+        across, down = -(-settings.width // edge), -(-settings.height // edge)
+        blocks = found.numel() // (settings.width * settings.height) * across * down
+        launch(median_depth_kernel(kinds.scalar, edge), blocks, [*sizes, *arrays, *outputs], device, chunk=1)
     return found, covered.bool()
