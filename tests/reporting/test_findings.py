@@ -29,7 +29,7 @@ def _measurer(values: np.ndarray, doubts: int = 0) -> Any:
     return SimpleNamespace(
         scene=SimpleNamespace(scales={}),
         searched=lambda spectrum, width: iter(seen),
-        renderer=SimpleNamespace(how_sure=lambda layer, view, where: sure),
+        renderer=SimpleNamespace(how_sure=lambda layer, view, where, values: sure),
     )
 
 

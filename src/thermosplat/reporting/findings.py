@@ -281,7 +281,8 @@ class _Search:
         asked, sure = self._known.get(view, (np.zeros_like(pixels), None))
         if (pixels & ~asked).any():  # it takes a while, and many regions share a view
             asked = asked | pixels
-            sure = self._measurer.renderer.how_sure(Layer("image", self._spectrum), view.view, asked)
+            taken = view.values if view.is_as_taken else None
+            sure = self._measurer.renderer.how_sure(Layer("image", self._spectrum), view.view, asked, taken)
             self._known[view] = asked, sure
         return sure
 

@@ -46,21 +46,29 @@ def surroundings(seen: SearchedView) -> Array:
 def grown(seen: SearchedView, mask: NDArray[np.bool_], references: Array, sign: float) -> NDArray[np.bool_]:
     """Each part of a mask [H, W] up to where half of its difference is left, without parts of larger surfaces."""
     everything = np.zeros_like(mask)
-    count, labels, sizes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    far = np.nan_to_num(sign * (seen.values - references), nan=-np.inf)
-    for part in range(1, count):
-        pixels = labels == part
-        if sizes[part, cv2.CC_STAT_AREA] < FEWEST_PIXELS or everything[pixels].all():
+    labels = cv2.connectedComponents(mask.astype(np.uint8))[1].ravel()
+    inside = np.flatnonzero(labels)
+    order = inside[np.argsort(labels[inside], kind="stable")]
+    signed = np.where(seen.there, sign * seen.values, -np.inf)
+    far = np.nan_to_num(signed - sign * references, nan=-np.inf).ravel()
+    for pixels in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
+        if len(pixels) < FEWEST_PIXELS or everything.flat[pixels].all():
             continue
         half = float(np.percentile(far[pixels], _PEAK)) / 2
-        warm = seen.there & (sign * (seen.values - np.median(references[pixels])) > half)
-        of_pixel = cv2.connectedComponents(warm.astype(np.uint8), connectivity=4)[1]
-        touched = np.zeros(int(of_pixel.max()) + 1, bool)
-        touched[of_pixel[pixels & warm]] = True
-        whole = touched[of_pixel]
-        if (far[whole] > half).sum() >= _LEAST_OWN * whole.sum():
-            everything |= whole
+        whole = _reached(signed > sign * np.median(references.flat[pixels]) + half, pixels)
+        if (far[whole] > half).sum() >= _LEAST_OWN * len(whole):
+            everything.flat[whole] = True
     return everything
+
+
+def _reached(mask: NDArray[np.bool_], starts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Pixels [N] of a mask [H, W] that edges of pixels connect with some pixels."""
+    image, width = mask.astype(np.uint8), mask.shape[1]
+    left = starts[image.flat[starts] == 1]
+    while len(left):
+        cv2.floodFill(image, None, (int(left[0] % width), int(left[0] // width)), 2, flags=4)
+        left = left[image.flat[left] == 1]
+    return np.flatnonzero(image == 2)
 
 
 def compact_parts(

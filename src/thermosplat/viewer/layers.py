@@ -250,17 +250,25 @@ class LayerRenderer:
         return torch.where(alpha > 1e-3, image / alpha.clamp(min=1e-3), torch.nan)[..., 0]
 
     @torch.no_grad()
-    def how_sure(self, layer: Layer, view: ViewTensors, where: NDArray[np.bool_] | None = None) -> Sure | None:
+    def how_sure(
+        self,
+        layer: Layer,
+        view: ViewTensors,
+        where: NDArray[np.bool_] | None = None,
+        values: NDArray[np.floating] | None = None,
+    ) -> Sure | None:
         """How sure the values of an image are; None where nobody knows.
 
         Args:
             where: As of ``Certainty.of_view``.
+            values: What the image shows, not recalculated, [H, W]; None: it is rendered.
         """
         certainty = self.scene.certainties.get(layer.spectrum) if layer.kind == "image" else None
         if certainty is None:
             return None
-        field = self.render([layer], view)[layer].field  # not recalculated: images are compared with images
-        return None if field is None else certainty.of_view(view, field, where)
+        if values is None:
+            values = self.render([layer], view)[layer].field  # not recalculated: images are compared with images
+        return None if values is None else certainty.of_view(view, values, where)
 
     @cached_property
     def features_basis(self) -> FeatureColors:

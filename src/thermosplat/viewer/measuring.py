@@ -45,6 +45,8 @@ class SearchedView:
     """z-depth [world units], [H, W]; 0 where nothing is."""
     points: NDArray[np.float64]
     """What its pixels see, in the world, [H, W, 3]."""
+    is_as_taken: bool = False
+    """Whether the values are those of the capture, none of them recalculated."""
 
     @property
     def there(self) -> NDArray[np.bool_]:
@@ -162,12 +164,12 @@ class Measurer:
             taken = without_pixels(frame.views[spectrum], self.scene.device).as_pinhole()
             factor = min(1.0, width / taken.width)
             view = resized(taken, max(1, round(factor * taken.width)), max(1, round(factor * taken.height)))
-            field = self.renderer.render([layer], view, temperatures=self.temperatures)[layer].field
+            image = self.renderer.render([layer], view, temperatures=self.temperatures)[layer]
             depth = model.render_depth(spectrum, view)
-            assert field is not None  # noqa: S101  of a spectrum of values
+            assert image.field is not None  # noqa: S101  of a spectrum of values
             z = depth.cpu().numpy().astype(np.float64) * model.placement.unit
             points = model.placement.to_world(scene_points(view, depth).cpu().numpy())
-            yield SearchedView(frame, view, field.astype(np.float64), z, points)
+            yield SearchedView(frame, view, image.field.astype(np.float64), z, points, image.changed is None)
 
     def spectrum_of_values(self) -> str:
         """The measured spectrum; where nothing is measured, the first that has intensities.
