@@ -7,7 +7,9 @@ with the half of them whose colours are nearest.
 """
 
 import itertools
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -131,10 +133,14 @@ class Elements:
         of_block = _grouped(_flat(blocks))
         lowest, at = x.min(axis=0), x[samples]
         medians = np.full(len(x), np.nan)
-        for mine in of_block:
+
+        def fill(mine: Indices) -> None:
             low = lowest + blocks[mine[0]] * self._radius / 2
             near = samples[((at > low - self._radius) & (at < low + 1.5 * self._radius)).all(axis=1)]
             medians[mine] = self._of_block(mine, near, x, t, looks, normals)
+
+        with ThreadPoolExecutor(os.cpu_count()) as threads:  # NumPy leaves the interpreter to others meanwhile
+            list(threads.map(fill, of_block))
         return medians
 
     def _of_block(
@@ -170,10 +176,11 @@ class Elements:
 
 
 def _keys(points: Array, cell: float) -> NDArray[np.int64]:
-    """A number for each point's cell."""
+    """A number for each point's cell. Cells begin at the origin: one point far away moves no other's."""
     if len(points) == 0:
         return np.zeros(0, np.int64)
-    return _flat(np.floor((points - points.min(axis=0)) / cell).astype(np.int64))
+    cells = np.floor(points / cell).astype(np.int64)
+    return _flat(cells - cells.min(axis=0))
 
 
 def _flat(cells: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -65,10 +65,8 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
     values = np.concatenate([view.values for view in views])
     areas = np.concatenate([view.areas for view in views])
     of_view = np.repeat(np.arange(len(views)), counts)
-    cells, of_cell = np.unique(
-        np.floor((points - points.min(axis=0)) / cell).astype(np.int64), axis=0, return_inverse=True
-    )
-    region = _connected(cells)[of_cell.ravel()]
+    cells, of_cell = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
+    region = _connected(cells - cells.min(axis=0))[of_cell.ravel()]
     found = []
     order = np.argsort(region, kind="stable")
     for mine in np.split(order, np.flatnonzero(np.diff(region[order])) + 1):
