@@ -1,6 +1,7 @@
 """Median depths against the weights of a dense float64 reference."""
 
 import inspect
+import sys
 from itertools import product
 
 import pytest
@@ -135,9 +136,13 @@ def test_a_pixel_is_covered_where_half_of_its_light_is_held(device: torch.device
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_tiles_change_speed_alone(device: torch.device, name: str) -> None:
-    """Depths and what is covered are the same to the bit, whatever the size of the tiles."""
+def test_tiles_and_blocks_change_speed_alone(device: torch.device, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depths and what is covered are the same to the bit, whatever the size of tiles and of a thread's pixels."""
     given = leaves(shaped(hard_scene(name)), device, torch.float32)
     (depths, covered), other = covered_depths(project(**given)), covered_depths(project(**given, tile_size=8))
     assert torch.equal(depths, other[0])
     assert torch.equal(covered, other[1])
+    monkeypatch.setattr(sys.modules["thermosplat.rasterizer.median_depths"], "median_block", lambda device: 1)
+    alone = covered_depths(project(**given))
+    assert torch.equal(depths, alone[0])
+    assert torch.equal(covered, alone[1])

@@ -42,7 +42,7 @@ def median_depth_kernel(dtype: type, edge: int) -> wp.Kernel:
         name=f"median_depth_{dtype.__name__}_{edge}",
         enable_backward=False,
         module="unique",
-        module_options=vectorized(edge) if edge > 1 else {},
+        module_options=vectorized(edge),  # rolled: in loops that Warp unrolls, numbers of the loop become floats
     )
     def median_depth(
         first: int,
