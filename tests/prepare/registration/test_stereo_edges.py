@@ -1,6 +1,7 @@
 """Depths of edges, from disparities that are noisy."""
 
 import numpy as np
+import pytest
 
 from thermosplat.prepare.registration.stereo_edges import chosen_edges, contour_strength, front_disparity
 
@@ -40,3 +41,9 @@ def test_half_of_the_points_are_on_outlines_and_the_others_on_contours() -> None
     assert 60 < (strength[chosen[~outline[chosen]]] > 2).sum() < 90  # 75 of 100 are expected
     assert sorted(chosen_edges(outline, strength, 5000)) == list(range(1000))
     assert len(chosen_edges(np.zeros(50, bool), np.zeros(50, np.float32), 20)) == 20
+
+
+@pytest.mark.parametrize("count", [0, 50])
+def test_photographs_without_plain_edges_have_what_outlines_they_have(count: int) -> None:
+    """A dark photograph has no edge at all, one of a thing before a wall may have its outline alone."""
+    assert len(chosen_edges(np.ones(count, bool), np.ones(count, np.float32), 20)) == min(count, 20)

@@ -84,9 +84,11 @@ def chosen_edges(outline: NDArray[np.bool_], strength: NDArray[np.float32], most
     generator = np.random.default_rng(0)
     on, off = generator.permutation(np.flatnonzero(outline)), np.flatnonzero(~outline)
     first = on[: max(most // 2, most - len(off))]
-    likely = strength[off] + 1e-6
-    others = generator.choice(off, min(most - len(first), len(off)), replace=False, p=likely / likely.sum())
-    return np.concatenate([first, others])
+    room = most - len(first)
+    if room < len(off):
+        likely = strength[off] + 1e-6
+        off = generator.choice(off, room, replace=False, p=likely / likely.sum())
+    return np.concatenate([first, off])
 
 
 def _points_of(image: pycolmap.Image) -> set[int]:
