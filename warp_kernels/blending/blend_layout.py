@@ -80,7 +80,7 @@ class BlendLayout:
 def vectorized(columns: int, *, widest: bool = True) -> dict:
     """Warp options of a kernel for CPUs whose innermost loop over so many pixels is to become vectors."""
     # The loop must stay rolled, or clang does not vectorise it.
-    options: dict = {"fast_math": False, "max_unroll": min(15, columns - 1)}
+    options: dict = {"max_unroll": min(15, columns - 1)}
     if widest:
         flags = wp.config.cpu_compiler_flags
         options["cpu_compiler_flags"] = f"{'-march=native' if flags is None else flags} {WIDEST_VECTORS}"

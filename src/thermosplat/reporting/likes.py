@@ -7,7 +7,6 @@ with the half of them whose colours are nearest.
 """
 
 import itertools
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from thermosplat.thermography.hot_regions import cells_of
 from thermosplat.thermography.reprojection import resized
 from thermosplat.viewer.measuring import Measurer, SearchedView, grid_cell
 
@@ -139,7 +139,7 @@ class Elements:
             near = samples[((at > low - self._radius) & (at < low + 1.5 * self._radius)).all(axis=1)]
             medians[mine] = self._of_block(mine, near, x, t, looks, normals)
 
-        with ThreadPoolExecutor(os.cpu_count()) as threads:  # NumPy leaves the interpreter to others meanwhile
+        with ThreadPoolExecutor(torch.get_num_threads()) as threads:  # NumPy leaves the interpreter to others meanwhile
             list(threads.map(fill, of_block))
         return medians
 
@@ -176,11 +176,8 @@ class Elements:
 
 
 def _keys(points: Array, cell: float) -> NDArray[np.int64]:
-    """A number for each point's cell. Cells begin at the origin: one point far away moves no other's."""
-    if len(points) == 0:
-        return np.zeros(0, np.int64)
-    cells = np.floor(points / cell).astype(np.int64)
-    return _flat(cells - cells.min(axis=0))
+    """A number for each point's cell."""
+    return _flat(cells_of(points, cell)) if len(points) else np.zeros(0, np.int64)
 
 
 def _flat(cells: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -65,8 +65,8 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
     values = np.concatenate([view.values for view in views])
     areas = np.concatenate([view.areas for view in views])
     of_view = np.repeat(np.arange(len(views)), counts)
-    cells, of_cell = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
-    region = _connected(cells - cells.min(axis=0))[of_cell.ravel()]
+    cells, of_cell = np.unique(cells_of(points, cell), axis=0, return_inverse=True)
+    region = _connected(cells)[of_cell.ravel()]
     found = []
     order = np.argsort(region, kind="stable")
     for mine in np.split(order, np.flatnonzero(np.diff(region[order])) + 1):
@@ -89,6 +89,19 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
             )
         )
     return sorted(found, key=lambda one: one.extreme, reverse=not colder)
+
+
+def cells_of(points: Array, side: float) -> NDArray[np.int64]:
+    """The cell of each point in a grid, counted from the least, [N, 3].
+
+    Cells begin at the origin: one point far away moves no other's.
+
+    Args:
+        points: At least one, [N, 3].
+        side: Of a cell, > 0.
+    """
+    cells = np.floor(points / side).astype(np.int64)
+    return np.asarray(cells - cells.min(axis=0))
 
 
 def _connected(cells: NDArray[np.int64]) -> NDArray[np.intp]:

@@ -87,9 +87,8 @@ def searched_by_temperature(scene: Scene, known: Adjusted, shown: Shown, numbers
     pieces, poses = straight_pieces(scene.places), {}
     with progress_bar("places again", len(numbers)) as advance:
         for number in numbers:
-            field = edge_field(scene.images[number].slopes, working_width=SEARCH_WIDTH)
             directions = [known.poses[one].rotation for one in _beside(number, pieces, list(shown.images))]
-            poses[number] = best_pose(scene, number, field, known, shown.without(number), directions)
+            poses[number] = best_pose(scene, number, known, shown.without(number), directions)
             advance(1)
     return poses
 

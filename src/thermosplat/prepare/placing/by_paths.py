@@ -13,7 +13,7 @@ from thermosplat.prepare.placing.about_placed import Prior
 from thermosplat.prepare.placing.adjustment import FINE_STEPS, Adjusted, adjusted
 from thermosplat.prepare.placing.lone_search import best_pose
 from thermosplat.prepare.placing.photograph_places import WIDTH, asked_places, path_through, spacing
-from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Field
+from thermosplat.prepare.placing.shift_search import Field
 from thermosplat.prepare.placing.soundness import sound
 from thermosplat.prepare.placing.thermal_looks import EDGES_OF_PLAIN, Scene, ThermalImage, shown_by
 from thermosplat.prepare.placing.world_edges import Photographs
@@ -57,11 +57,9 @@ def placed_again(scene: Scene, known: Adjusted, everyone: bool) -> tuple[Scene, 
     deviation = _OF_SPACING * unit
     right, _ = sound(scene, replace(known, deviation=deviation))
     shown = shown_by(scene, known.poses, known.lens, right)
-    fields, coarse = (
-        [edge_field(image.slopes, working_width=width) for image in scene.images] for width in (SEARCH_WIDTH, WIDTH)
-    )
+    fields = [edge_field(image.slopes, working_width=WIDTH) for image in scene.images]
     weights = shown.without(None).weights
-    path = path_through(scene.photographs, coarse, known.lens, _TURNS, edges_of=scene.edges_of, weights=weights)
+    path = path_through(scene.photographs, fields, known.lens, _TURNS, edges_of=scene.edges_of, weights=weights)
     starts = {number: known.poses[number] if number in right else pose for number, pose in enumerate(path.moved)}
     least = _LEAST_OF_SPACING * unit if everyone else deviation
     scene = scene._replace(places=np.array([pose.centre for pose in starts.values()]), deviation=least)
@@ -70,8 +68,7 @@ def placed_again(scene: Scene, known: Adjusted, everyone: bool) -> tuple[Scene, 
     with progress_bar("places", len(poses)) as advance:
         for number, pose in starts.items():
             if everyone or number not in right:
-                expected = shown.without(number)
-                poses[number] = best_pose(scene, number, fields[number], known, expected, [pose.rotation])
+                poses[number] = best_pose(scene, number, known, shown.without(number), [pose.rotation])
             advance(1)
     return scene, adjusted(scene, replace(known, poses=poses), FINE_STEPS, shown)
 

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from thermosplat.prepare.placing.adjustment import Adjusted, Window, aligned
-from thermosplat.prepare.placing.shift_search import Field, Trial, best_trial
+from thermosplat.prepare.placing.shift_search import SEARCH_WIDTH, Trial, best_trial
 from thermosplat.prepare.placing.thermal_looks import Expected, Scene, edges_shown
 from thermosplat.prepare.placing.world_edges import Pose
+from thermosplat.prepare.registration.edge_correlation import edge_field
 from thermosplat.prepare.registration.rig_camera import Array
 
 REACH, _LAST_REACH = 0.14, 0.09
@@ -21,9 +22,7 @@ _ALONE: list[Window] = [*[(5.0, 2.0, None)] * 3, *[(3.0, 1.25, None)] * 3, *[(2.
 """Windows of the adjustment of one image."""
 
 
-def best_pose(
-    scene: Scene, number: int, field: Field, known: Adjusted, expected: Expected, directions: Sequence[Array]
-) -> Pose:
+def best_pose(scene: Scene, number: int, known: Adjusted, expected: Expected, directions: Sequence[Array]) -> Pose:
     """The pose of one image that shows best the edges that others show, and lies where it should.
 
     Both are judged in standard deviations: edges by their number, places by half their square, as likelihoods are.
@@ -31,12 +30,12 @@ def best_pose(
     Args:
         scene: Edges and places.
         number: The image.
-        field: Its edges.
         known: The lens, poses so far, and what is known of places.
         expected: What the image should show.
         directions: World to camera, about as the image may look.
     """
     place, now = scene.places[number] - known.common_error, known.poses[number]
+    field = edge_field(scene.images[number].slopes, working_width=SEARCH_WIDTH)
 
     def search(pose: Pose, turns: Sequence[float], reach: float) -> Trial:
         return best_trial(
