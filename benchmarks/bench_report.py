@@ -5,7 +5,8 @@
 Findings are those of ``thermosplat-report RUN``. Of a rendered capture the hidden heats, glass and chrome are known by
 the labels of its held-out views: a finding lies on what half of its pixels lie on. Of a flight the anomalies are known
 by its truth.json. Both worlds are laid onto each other by the cameras, as GPS has errors of its own. An anomaly is
-found where a finding lies within 0.5 m of it, and a finding is false where it lies on no anomaly's area.
+found where a finding, or a thing that the report lists, lies within 0.5 m of it. A finding is false where it lies on no
+anomaly's area and not along a buried pipe.
 """
 
 import argparse
@@ -17,10 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendered_captures.scenes.block import PIPES
 from scenes.surface_points import surface_points
 from thermosplat.datasets.capture import Capture
 from thermosplat.datasets.ground_truth import LABELS, read_ground_truth
-from thermosplat.reporting.findings import LEAST_DEGREES, Finding, find
+from thermosplat.reporting.findings import LEAST_DEGREES, Finding, Found, find
 from thermosplat.thermography.hot_regions import HotPixels, find_regions
 from thermosplat.viewer.layers import LayerRenderer
 from thermosplat.viewer.measuring import Measurer
@@ -29,8 +31,8 @@ from thermosplat.viewer.opening import open_scene
 Array = NDArray[np.float64]
 _CELL = 0.06
 """[world units]; points nearer than this lie on each other."""
-_NEAR = 0.5
-"""[m]"""
+_NEAR, _BESIDE_PIPE = 0.5, 1.5
+"""[m]; the ground above a pipe is warmer as far as the second."""
 
 
 def on_labels(capture: Capture, spectrum: str, findings: list[Finding]) -> list[dict[str, Any]]:
@@ -84,20 +86,31 @@ def to_truth(capture: Capture, spectrum: str, truth: dict[str, Any]) -> Any:
     return lambda points: scale * (np.asarray(points) - middle) @ turn.T + other
 
 
-def on_anomalies(findings: list[Finding], truth: dict[str, Any], place: Any) -> tuple[list[dict[str, Any]], int]:
+def on_anomalies(found: Found, truth: dict[str, Any], place: Any) -> tuple[list[dict[str, Any]], int]:
     """A row for each anomaly: how far the nearest finding lies and how large it is; and how many findings are false."""
-    places = np.array([place(one.region.place)[:2] for one in findings]).reshape(-1, 2)
-    rows, real = [], np.zeros(len(findings), bool)
+    listed = [*found.findings, *found.things]
+    places = np.array([place(one.region.place)[:2] for one in listed]).reshape(-1, 2)
+    rows, real = [], np.array([_along_pipes(place(one.seen.points[one.pixels])) for one in found.findings], bool)
     for anomaly in truth["anomalies"]:
         apart = np.linalg.norm(places - (anomaly["x"], anomaly["y"]), axis=1)
-        real |= apart <= max(_NEAR, np.sqrt(anomaly["area_m2"] / 2))
-        nearest = int(apart.argmin()) if len(apart) else -1
+        real |= apart[: len(real)] <= max(_NEAR, np.sqrt(anomaly["area_m2"] / 2))
         row = {"kind": anomaly["kind"], "name": anomaly["name"], "area": anomaly["area_m2"]}
-        if nearest >= 0:
-            one = findings[nearest]
-            row |= {"metres": float(apart[nearest]), "found_area": one.area or one.region.area}
+        if len(apart):
+            nearest = int(apart[: len(real)].argmin()) if (apart[: len(real)] <= _NEAR).any() else int(apart.argmin())
+            one, metres = listed[nearest], float(apart[nearest])
+            row |= {"metres": metres, "found_area": one.surface, "is_thing": nearest >= len(real)}
         rows.append(row)
     return rows, int((~real).sum())
+
+
+def _along_pipes(points: Array) -> bool:
+    """Whether half of points [P, 3] of the true world lie above buried pipes."""
+    above = np.zeros(len(points), bool)
+    for start, end in np.array(PIPES):
+        along = end - start
+        shares = np.clip((points[:, :2] - start) @ along / (along @ along), 0, 1)
+        above |= np.linalg.norm(points[:, :2] - start - shares[:, None] * along, axis=1) <= _BESIDE_PIPE
+    return float(above.mean()) >= 0.5
 
 
 def main() -> None:
@@ -126,12 +139,13 @@ def main() -> None:
                 print(f"| {row['label']} | {np.round(row['place'], 2)} | {row['findings'] or 'none'} |")
             continue
         truth = json.loads(arguments.truth.read_text())
-        rows, false = on_anomalies(findings, truth, to_truth(scene.capture, spectrum, truth))
+        rows, false = on_anomalies(found, truth, to_truth(scene.capture, spectrum, truth))
         for row in rows:
             near = "" if "metres" not in row else f"{row['metres']:.2f} m | {row['found_area']:.3g} m²"
             print(f"| {row['kind']} | {row['name']} | {row['area']:.3g} m² | {near} |")
-        placed = sum(row.get("metres", np.inf) <= _NEAR for row in rows)
-        print(f"{placed} of {len(rows)} within {_NEAR} m; {false} false", flush=True)
+        placed = [row for row in rows if row.get("metres", np.inf) <= _NEAR]
+        things = sum(row["is_thing"] for row in placed)
+        print(f"{len(placed)} of {len(rows)} within {_NEAR} m, {things} as a thing; {false} false", flush=True)
 
 
 if __name__ == "__main__":

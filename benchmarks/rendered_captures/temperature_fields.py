@@ -26,6 +26,13 @@ def temperature_field(
     return t.astype(np.float32)
 
 
+TREE = [((0.5, 1.0), (0.5, 0.12), 1.0, 4)]
+"""Pipes of the kind ``tree``: two ends from the top left as shares of the field, strength, and pixels that it is wider
+than the others."""
+for side, level in ((0.9, 0.25), (0.1, 0.45), (0.9, 0.65), (0.1, 0.82)):
+    TREE += [((0.5, level), (side, level), 0.85, 0), ((side, level), (side, level - 0.12), 0.7, 0)]
+
+
 def hidden_heat_field(
     base: float,
     hot: float,
@@ -46,11 +53,9 @@ def hidden_heat_field(
             y += 0.13
         cv2.polylines(m, [np.int32(np.array(pts) * n)], False, 1.0, width)
     elif kind == "tree":
-        cv2.line(m, (n // 2, n), (n // 2, int(n * 0.12)), 1.0, width + 4)
-        for i, f in enumerate((0.25, 0.45, 0.65, 0.82)):
-            e = int(n * (0.1 if i % 2 else 0.9))
-            cv2.line(m, (n // 2, int(n * f)), (e, int(n * f)), 0.85, width)
-            cv2.line(m, (e, int(n * f)), (e, int(n * (f - 0.12))), 0.7, width)
+        for start, end, strength, wider in TREE:
+            ends = [(int(n * u), int(n * v)) for u, v in (start, end)]
+            cv2.line(m, *ends, strength, width + wider)
     elif kind == "studs":
         for f in np.linspace(0.06, 0.94, 9):
             cv2.line(m, (int(n * f), 0), (int(n * f), n), 1.0, max(2, width // 3))

@@ -28,7 +28,7 @@ def _measurer(values: np.ndarray, doubts: int = 0) -> Any:
     sure = Sure(np.full(values.shape, 0.3), np.full(values.shape, doubts, np.uint8))
     return SimpleNamespace(
         scene=SimpleNamespace(scales={}),
-        searched=lambda spectrum, width: iter(seen),
+        searched=lambda spectrum, width, most: iter(seen),
         renderer=SimpleNamespace(how_sure=lambda layer, view, where, values: sure),
     )
 

@@ -10,13 +10,17 @@ from rendered_captures.scenes.anomalies import Anomalies
 from rendered_captures.scenes.dates import DATES, Date
 from rendered_captures.scenes.houses import Placed, add_house
 from rendered_captures.skies import sky_rgb, sky_T
-from rendered_captures.temperature_fields import hidden_heat_field, temperature_field
+from rendered_captures.temperature_fields import TREE, hidden_heat_field, temperature_field
 from rendered_captures.textures.noise import mottle
 from rendered_captures.textures.prints import decal_texture
 from rendered_captures.textures.surfaces import foliage_texture, ground_texture, leafwall_texture
 
 WIDTH, DEPTH = 62.0, 46.0
 """Of the block [m]."""
+_GROUND = np.array([WIDTH + 44, DEPTH + 40])
+"""Sides of its ground [m]."""
+PIPES = [[(np.subtract(end, 0.5) * (1, -1) * _GROUND).tolist() for end in ends] for *ends, _, _ in TREE]
+"""Ends (x, y) of the buried pipes [m]."""
 
 
 def block(seed: int, date: int) -> tuple[Builder, list[dict[str, Any]]]:
@@ -43,7 +47,7 @@ def block(seed: int, date: int) -> tuple[Builder, list[dict[str, Any]]]:
     b.box(
         "ground",
         (0, 0, -0.1),
-        (WIDTH + 44, DEPTH + 40, 0.2),
+        (*_GROUND, 0.2),
         matte(ground_texture(3000, 3600, r)),
         ground_T,
         disc="hidden_heat",
@@ -52,9 +56,9 @@ def block(seed: int, date: int) -> tuple[Builder, list[dict[str, Any]]]:
     found.note(
         "leak",
         "ground",
-        (leak[0] - 0.5) * (WIDTH + 44),
-        (leak[1] - 0.5) * (DEPTH + 40),
-        np.pi * (2 * leak[2]) ** 2 * (WIDTH + 44) * (DEPTH + 40),
+        (leak[0] - 0.5) * _GROUND[0],
+        (leak[1] - 0.5) * _GROUND[1],
+        np.pi * (2 * leak[2]) ** 2 * _GROUND.prod(),
         leak[3],
         "leak of the buried pipe",
     )

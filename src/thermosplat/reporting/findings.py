@@ -33,10 +33,12 @@ _LEVELS = (8.0, 4.0, 2.0, 1.0)
 next module."""
 _TIMES_USUAL = 4.0
 """Times the usual spread around the reference (1.4826 times the median of the distances): the limit by default."""
-LEAST_DEGREES = 1.0
+LEAST_DEGREES = 0.8
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
+_MOST_VIEWS = 64
+"""That are searched, evenly chosen: of a flight's 101 they find as much, in two thirds of the time."""
 _FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
 """Of a finding: views that agree, and their share of those that see the place."""
 _NEIGHBOURS, _ONE_SURFACE = 10, 0.5
@@ -128,7 +130,7 @@ def find(
     Raises:
         UserError: There are no photographs to search by.
     """
-    views = list(measurer.searched(spectrum, _WIDTH))
+    views = list(measurer.searched(spectrum, _WIDTH, _MOST_VIEWS))
     elements = Elements(views, None if reference is not None else photographs_of(measurer, views))
     references = elements.references() if reference is None else [np.full(one.values.shape, reference) for one in views]
     sign = -1.0 if colder else 1.0
@@ -143,17 +145,16 @@ def find(
         return [view.there & (np.nan_to_num(one, nan=-np.inf) > times * limit) for view, one in zip(views, far)]
 
     search = _Search(measurer, spectrum, views, sign, limit)
-    things: list[Finding] = []
     if reference is None:
+        others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
         for times in _LEVELS:
             masks = beyond(references, times)
             regions = [grown(view, mask, around, sign) for view, mask, around in zip(views, masks, references)]
             search.add(elements.agreed(regions), references)
-        others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
-        things = search.things(elements.agreed(beyond(others)), others)
+            search.add_things(elements.agreed(beyond(others, times)), others)
     else:
         search.add(elements.agreed(beyond(references)), references)
-    found = search.found()
+    found, things = search.found(), search.things()
     more, listed = max(0, len(found) - MOST_FINDINGS), search.readable(things)
     more_things = max(0, len(things) - MOST_THINGS)
     return Found(tuple(found[:MOST_FINDINGS]), listed, limit, search.not_read, more, more_things, tuple(views))
@@ -181,6 +182,7 @@ class _Search:
         self._known: dict[SearchedView, tuple[NDArray[np.bool_], Sure | None]] = {}
         self._cell = grid_cell(views)
         self._findings: list[Finding] = []
+        self._things: list[Finding] = []
         self._doubted: list[Region] = []
 
     def add(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
@@ -190,11 +192,8 @@ class _Search:
             masks: Pixels of regions, of each view.
             references: From what; NaN where nobody knows.
         """
-        known, fresh = [*self._doubted, *(one.region for one in self._findings)], list[Finding]()
-        for region, pixels in self._regions(masks, references):
-            inside = [one for one in known if (np.abs(np.subtract(one.place, region.place)) <= region.size).all()]
-            if any(_holds(one, region) for one in inside) or not self._is_agreed(region):
-                continue
+        fresh = list[Finding]()
+        for region, pixels in self._fresh(masks, references, self._findings):
             view, around = self._views[region.best_view], references[region.best_view]
             sure = self._sure(view, pixels)
             if must_not_be_read(sure, pixels):
@@ -203,6 +202,14 @@ class _Search:
             parts = [_finding(one, view, part, around, sure) for one, part in compact_parts(region, view, pixels)]
             fresh += [one for one in parts if self.far(one) > _OF_PEAK * self._limit]
         self._findings += fresh
+
+    def add_things(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> None:
+        """Regions become things, before anybody asks whether they may be read; arguments as of ``add``."""
+        fresh = list[Finding]()
+        for region, pixels in self._fresh(masks, references, self._things):
+            view, around = self._views[region.best_view], references[region.best_view]
+            fresh += [_finding(one, view, part, around, None) for one, part in compact_parts(region, view, pixels)]
+        self._things += fresh
 
     @property
     def not_read(self) -> int:
@@ -214,19 +221,9 @@ class _Search:
         found = [one for one in self._patterns(self._findings) if self._stands_out(one)]
         return sorted(found, key=self.far, reverse=True)
 
-    def things(self, masks: list[NDArray[np.bool_]], references: list[Array]) -> list[Finding]:
-        """Regions as things, the farthest from the reference first, before anybody asks whether they may be read.
-
-        Args:
-            masks: As of ``add``.
-            references: Likewise.
-        """
-        fresh = list[Finding]()
-        for region, pixels in self._regions(masks, references):
-            if self._is_agreed(region):
-                view, around = self._views[region.best_view], references[region.best_view]
-                fresh += [_finding(one, view, part, around, None) for one, part in compact_parts(region, view, pixels)]
-        return sorted(self._patterns(fresh), key=self.far, reverse=True)
+    def things(self) -> list[Finding]:
+        """What was added as a thing, the farthest from the reference first."""
+        return sorted(self._patterns(self._things), key=self.far, reverse=True)
 
     def readable(self, things: list[Finding]) -> tuple[Finding, ...]:
         """The first things that may be read, at most ``MOST_THINGS``."""
@@ -264,6 +261,16 @@ class _Search:
             if np.isfinite(references[best][pixels]).any():
                 yield region, pixels
 
+    def _fresh(
+        self, masks: list[NDArray[np.bool_]], references: list[Array], among: list[Finding]
+    ) -> Iterator[tuple[Region, NDArray[np.bool_]]]:
+        """Regions that enough views agree on and that are most of none of some findings; as of ``_regions``."""
+        known = [*self._doubted, *(one.region for one in among)]
+        for region, pixels in self._regions(masks, references):
+            inside = [one for one in known if (np.abs(np.subtract(one.place, region.place)) <= region.size).all()]
+            if not any(one.area >= _MOST_OF * region.area for one in inside) and self._is_agreed(region):
+                yield region, pixels
+
     def _is_agreed(self, region: Region) -> bool:
         """Whether enough of the views that see a place agree."""
         return region.views >= _LEAST_VIEWS * self._seeing(region)
@@ -285,11 +292,6 @@ class _Search:
             sure = self._measurer.renderer.how_sure(Layer("image", self._spectrum), view.view, asked, taken)
             self._known[view] = asked, sure
         return sure
-
-
-def _holds(one: Region, other: Region) -> bool:
-    """Whether a region is most of another one that holds it."""
-    return one.area >= _MOST_OF * other.area
 
 
 def must_not_be_read(sure: Sure | None, pixels: NDArray[np.bool_]) -> bool:

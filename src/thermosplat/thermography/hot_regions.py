@@ -33,7 +33,7 @@ class Region:
     """A part of the scene beyond the threshold."""
 
     place: tuple[float, float, float]
-    """Its middle, in the world."""
+    """The mean of the cells that it has, in the world: how often views saw them doesn't move it."""
     size: tuple[float, float, float]
     """Sides of the box around it, along the world's axes [world units]."""
     extreme: float
@@ -66,7 +66,9 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
     areas = np.concatenate([view.areas for view in views])
     of_view = np.repeat(np.arange(len(views)), counts)
     cells, of_cell = np.unique(cells_of(points, cell), axis=0, return_inverse=True)
-    region = _connected(cells)[of_cell.ravel()]
+    of_cell = of_cell.ravel()
+    region = _connected(cells)[of_cell]
+    middles = np.stack([np.bincount(of_cell, axis) / np.bincount(of_cell) for axis in points.T], axis=-1)
     found = []
     order = np.argsort(region, kind="stable")
     for mine in np.split(order, np.flatnonzero(np.diff(region[order])) + 1):
@@ -78,7 +80,7 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
         low, high = points[mine].min(axis=0), points[mine].max(axis=0)
         found.append(
             Region(
-                place=_point(points[mine].mean(axis=0)),
+                place=_point(middles[np.unique(of_cell[mine])].mean(axis=0)),
                 size=_point(high - low),
                 extreme=float(values[extreme]),
                 extreme_place=_point(points[extreme]),
@@ -118,14 +120,12 @@ def _connected(cells: NDArray[np.int64]) -> NDArray[np.intp]:
         pairs.append(np.stack([np.flatnonzero(there), order[at[there]]], axis=1))
     label = np.arange(len(cells))
     edges = np.concatenate(pairs)
-    while len(edges):  # the least number spreads along the edges, and along what it has joined already
-        least = np.minimum(label[edges[:, 0]], label[edges[:, 1]])
-        before = label.copy()
-        np.minimum.at(label, edges[:, 0], least)
-        np.minimum.at(label, edges[:, 1], least)
-        label = label[label]
-        if (label == before).all():
-            break
+    while len(edges):  # of what an edge joins, the greater root comes under the lesser, and all under their roots
+        one, other = label[edges].T
+        np.minimum.at(label, np.maximum(one, other), np.minimum(one, other))
+        while (label != (above := label[label])).any():
+            label = above
+        edges = edges[label[edges[:, 0]] != label[edges[:, 1]]]
     return label
 
 
