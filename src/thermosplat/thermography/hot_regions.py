@@ -33,7 +33,7 @@ class Region:
     """A part of the scene beyond the threshold."""
 
     place: tuple[float, float, float]
-    """The mean of the cells that it has, in the world: how often views saw them doesn't move it."""
+    """The middle of its surface, in the world: that more views see one end of it does not move it."""
     size: tuple[float, float, float]
     """Sides of the box around it, along the world's axes [world units]."""
     extreme: float
@@ -68,7 +68,8 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
     cells, of_cell = np.unique(cells_of(points, cell), axis=0, return_inverse=True)
     of_cell = of_cell.ravel()
     region = _connected(cells)[of_cell]
-    middles = np.stack([np.bincount(of_cell, axis) / np.bincount(of_cell) for axis in points.T], axis=-1)
+    seen = np.unique(np.stack([of_cell, of_view]), axis=1)[0]
+    shares = areas / np.bincount(seen)[of_cell]
     found = []
     order = np.argsort(region, kind="stable")
     for mine in np.split(order, np.flatnonzero(np.diff(region[order])) + 1):
@@ -80,7 +81,7 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
         low, high = points[mine].min(axis=0), points[mine].max(axis=0)
         found.append(
             Region(
-                place=_point(middles[np.unique(of_cell[mine])].mean(axis=0)),
+                place=_point(np.average(points[mine], axis=0, weights=shares[mine])),
                 size=_point(high - low),
                 extreme=float(values[extreme]),
                 extreme_place=_point(points[extreme]),
