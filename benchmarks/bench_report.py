@@ -46,7 +46,7 @@ def on_labels(capture: Capture, spectrum: str, findings: list[Finding]) -> list[
         seen = capture.placement.to_world(surface_points(frame.views[spectrum], depth))
         for key, parts in points.items():
             there = (truth.label == key) & (depth > 0)
-            parts.append(HotPixels(seen[there], np.ones(int(there.sum())), np.zeros(int(there.sum()))))
+            parts.append(HotPixels(seen[there], np.ones(int(there.sum())), np.ones(int(there.sum()))))
     rows = []
     for key, parts in points.items():
         everything = np.concatenate([part.points for part in parts]) if parts else np.zeros((0, 3))
