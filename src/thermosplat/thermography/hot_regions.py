@@ -33,7 +33,7 @@ class Region:
     """A part of the scene beyond the threshold."""
 
     place: tuple[float, float, float]
-    """The middle of its surface, in the world: that more views see one end of it does not move it."""
+    """Its middle, in the world."""
     size: tuple[float, float, float]
     """Sides of the box around it, along the world's axes [world units]."""
     extreme: float
@@ -66,10 +66,7 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
     areas = np.concatenate([view.areas for view in views])
     of_view = np.repeat(np.arange(len(views)), counts)
     cells, of_cell = np.unique(cells_of(points, cell), axis=0, return_inverse=True)
-    of_cell = of_cell.ravel()
-    region = _connected(cells)[of_cell]
-    seen = np.unique(np.stack([of_cell, of_view]), axis=1)[0]
-    shares = areas / np.bincount(seen)[of_cell]
+    region = _connected(cells)[of_cell.ravel()]
     found = []
     order = np.argsort(region, kind="stable")
     for mine in np.split(order, np.flatnonzero(np.diff(region[order])) + 1):
@@ -81,7 +78,7 @@ def find_regions(views: list[HotPixels], cell: float, *, colder: bool = False) -
         low, high = points[mine].min(axis=0), points[mine].max(axis=0)
         found.append(
             Region(
-                place=_point(np.average(points[mine], axis=0, weights=shares[mine])),
+                place=_point(points[mine].mean(axis=0)),
                 size=_point(high - low),
                 extreme=float(values[extreme]),
                 extreme_place=_point(points[extreme]),
