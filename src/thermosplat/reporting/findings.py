@@ -37,8 +37,8 @@ LEAST_DEGREES = 0.8
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
-_MOST_VIEWS = 64
-"""That are searched, evenly chosen: of a flight's 101 they find as much, in two thirds of the time."""
+_MOST_VIEWS = 48
+"""That are searched, evenly chosen: of a flight's 101 they find as much and less that is false."""
 _FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
 """Of a finding: views that agree, and their share of those that see the place."""
 _NEIGHBOURS, _ONE_SURFACE = 10, 0.5
