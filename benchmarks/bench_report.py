@@ -46,7 +46,7 @@ def on_labels(capture: Capture, spectrum: str, findings: list[Finding]) -> list[
         seen = capture.placement.to_world(surface_points(frame.views[spectrum], depth))
         for key, parts in points.items():
             there = (truth.label == key) & (depth > 0)
-            parts.append(HotPixels(seen[there], np.ones(int(there.sum())), np.ones(int(there.sum()))))
+            parts.append(HotPixels(seen[there], np.ones(int(there.sum())), np.zeros(int(there.sum()))))
     rows = []
     for key, parts in points.items():
         everything = np.concatenate([part.points for part in parts]) if parts else np.zeros((0, 3))
@@ -87,18 +87,19 @@ def to_truth(capture: Capture, spectrum: str, truth: dict[str, Any]) -> Any:
 
 
 def on_anomalies(found: Found, truth: dict[str, Any], place: Any) -> tuple[list[dict[str, Any]], int]:
-    """A row for each anomaly: how far the nearest finding lies and how large it is; and how many findings are false."""
+    """A row for each anomaly, of the nearest finding or, where none is near, thing; and how many findings are false."""
     listed = [*found.findings, *found.things]
     places = np.array([place(one.region.place)[:2] for one in listed]).reshape(-1, 2)
     rows, real = [], np.array([_along_pipes(place(one.seen.points[one.pixels])) for one in found.findings], bool)
     for anomaly in truth["anomalies"]:
         apart = np.linalg.norm(places - (anomaly["x"], anomaly["y"]), axis=1)
-        real |= apart[: len(real)] <= max(_NEAR, np.sqrt(anomaly["area_m2"] / 2))
+        of_findings = apart[: len(real)]
+        real |= of_findings <= max(_NEAR, np.sqrt(anomaly["area_m2"] / 2))
         row = {"kind": anomaly["kind"], "name": anomaly["name"], "area": anomaly["area_m2"]}
         if len(apart):
-            nearest = int(apart[: len(real)].argmin()) if (apart[: len(real)] <= _NEAR).any() else int(apart.argmin())
-            one, metres = listed[nearest], float(apart[nearest])
-            row |= {"metres": metres, "found_area": one.surface, "is_thing": nearest >= len(real)}
+            nearest = int((of_findings if (of_findings <= _NEAR).any() else apart).argmin())
+            is_thing, surface = nearest >= len(real), listed[nearest].surface
+            row |= {"metres": float(apart[nearest]), "found_area": surface, "is_thing": is_thing}
         rows.append(row)
     return rows, int((~real).sum())
 
@@ -106,7 +107,7 @@ def on_anomalies(found: Found, truth: dict[str, Any], place: Any) -> tuple[list[
 def _along_pipes(points: Array) -> bool:
     """Whether half of points [P, 3] of the true world lie above buried pipes."""
     above = np.zeros(len(points), bool)
-    for start, end in np.array(PIPES):
+    for start, end in PIPES:
         along = end - start
         shares = np.clip((points[:, :2] - start) @ along / (along @ along), 0, 1)
         above |= np.linalg.norm(points[:, :2] - start - shares[:, None] * along, axis=1) <= _BESIDE_PIPE

@@ -26,11 +26,14 @@ def temperature_field(
     return t.astype(np.float32)
 
 
-TREE = [((0.5, 1.0), (0.5, 0.12), 1.0, 4)]
-"""Pipes of the kind ``tree``: two ends from the top left as shares of the field, strength, and pixels that it is wider
-than the others."""
-for side, level in ((0.9, 0.25), (0.1, 0.45), (0.9, 0.65), (0.1, 0.82)):
-    TREE += [((0.5, level), (side, level), 0.85, 0), ((side, level), (side, level - 0.12), 0.7, 0)]
+_BRANCHES = ((0.9, 0.25), (0.1, 0.45), (0.9, 0.65), (0.1, 0.82))
+TREE = [
+    ((0.5, 1.0), (0.5, 0.12), 1.0, 4),
+    *(((0.5, v), (u, v), 0.85, 0) for u, v in _BRANCHES),
+    *(((u, v), (u, v - 0.12), 0.7, 0) for u, v in _BRANCHES),
+]
+"""Pipes of the kind ``tree``: two ends from the top left as shares of the field, strength, and by how many pixels it is
+wider than the others."""
 
 
 def hidden_heat_field(

@@ -27,8 +27,8 @@ def _measurer(values: np.ndarray, doubts: int = 0) -> Any:
     seen = [SearchedView(frame, view, values, depth, points) for frame in frames]
     sure = Sure(np.full(values.shape, 0.3), np.full(values.shape, doubts, np.uint8))
     return SimpleNamespace(
-        scene=SimpleNamespace(scales={}),
-        searched=lambda spectrum, width, most: iter(seen),
+        scene=SimpleNamespace(scales={}, frames=[]),
+        searched=lambda spectrum, width, every: iter(seen),
         renderer=SimpleNamespace(how_sure=lambda layer, view, where, values: sure),
     )
 
@@ -105,6 +105,36 @@ def test_things_are_alone_of_their_colour(monkeypatch: pytest.MonkeyPatch, chang
     monkeypatch.setattr(findings, "photographs_of", lambda measurer, views: [photograph] * len(views))
     found = find(_measurer(values), "thermal", limit=2.0)
     assert (len(found.things), len(found.findings)) == (things, 1 - things)
+
+
+def test_a_hot_thing_is_apart_from_the_warm_one_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hottest part comes first, at its own place: a unit on a roof is not the roof's middle."""
+    values, photograph = _wall(0.0), np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    values[20:26, 30:36] += 5.0
+    values[20:24, 30:34] += 18.0
+    photograph[20:26, 30:36] += 0.3
+    monkeypatch.setattr(findings, "photographs_of", lambda measurer, views: [photograph] * len(views))
+    unit, around = find(_measurer(values), "thermal", limit=2.0).things
+    assert unit.region.place == pytest.approx(((32 - 40) / 40, (22 - 30) / 40, 2.0), abs=1e-6)
+    assert around.region.place == pytest.approx(((33 - 40) / 40, (23 - 30) / 40, 2.0), abs=1e-6)
+
+
+def test_half_of_many_views_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each second one, where there are many; they find what all find."""
+    measurer = _measurer(_wall(5.0))
+    every = list[int]()
+    seen = list(measurer.searched("thermal", 0, 1)) * 2
+
+    def searched(spectrum: str, width: int, each: int) -> Any:
+        every.append(each)
+        return iter(seen[::each])
+
+    measurer.searched = searched
+    measurer.scene.frames = [SimpleNamespace(views={"thermal": None})] * 10
+    for many in (11, 10):
+        monkeypatch.setattr(findings, "_MANY_VIEWS", many)
+        assert len(find(measurer, "thermal", limit=2.0).findings) == 1
+    assert every == [1, 2]
 
 
 @pytest.mark.parametrize("spot", [0.0, 4.0])

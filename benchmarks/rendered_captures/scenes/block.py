@@ -19,8 +19,8 @@ WIDTH, DEPTH = 62.0, 46.0
 """Of the block [m]."""
 _GROUND = np.array([WIDTH + 44, DEPTH + 40])
 """Sides of its ground [m]."""
-PIPES = [[(np.subtract(end, 0.5) * (1, -1) * _GROUND).tolist() for end in ends] for *ends, _, _ in TREE]
-"""Ends (x, y) of the buried pipes [m]."""
+PIPES = (np.array([ends for *ends, _, _ in TREE]) - 0.5) * (1, -1) * _GROUND
+"""Both ends of each buried pipe, (x, y) [m], [N, 2, 2]."""
 
 
 def block(seed: int, date: int) -> tuple[Builder, list[dict[str, Any]]]:

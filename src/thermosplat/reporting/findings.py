@@ -37,10 +37,10 @@ LEAST_DEGREES = 0.8
 """[K]; the least limit that is chosen where nobody gives one."""
 _WIDTH = 400
 """Of the pictures that are searched [px]: in half a flight's thermal image a cell of a module has some pixels."""
-_MOST_VIEWS = 48
-"""That are searched, evenly chosen: of a flight's 101 they find as much and less that is false."""
-_FEWEST_VIEWS, _LEAST_VIEWS = 5, 0.5
-"""Of a finding: views that agree, and their share of those that see the place."""
+_MANY_VIEWS = 96
+"""From so many on every second one is searched: of a flight's 101 they find as much, and less that is false."""
+_FEWEST_VIEWS, _LEAST_VIEWS = {1: 5, 2: 4}, 0.5
+"""Of a finding: views that agree, by each which view is searched, and their share of those that see the place."""
 _NEIGHBOURS, _ONE_SURFACE = 10, 0.5
 """Cells that lie between parts of one pattern, and the difference of their references, as a share of the limit."""
 _MOST_OF = 0.5
@@ -130,7 +130,8 @@ def find(
     Raises:
         UserError: There are no photographs to search by.
     """
-    views = list(measurer.searched(spectrum, _WIDTH, _MOST_VIEWS))
+    every = 2 if sum(spectrum in frame.views for frame in measurer.scene.frames) >= _MANY_VIEWS else 1
+    views = list(measurer.searched(spectrum, _WIDTH, every))
     elements = Elements(views, None if reference is not None else photographs_of(measurer, views))
     references = elements.references() if reference is None else [np.full(one.values.shape, reference) for one in views]
     sign = -1.0 if colder else 1.0
@@ -144,7 +145,7 @@ def find(
         far = [sign * (view.values - around) for view, around in zip(views, of_each)]
         return [view.there & (np.nan_to_num(one, nan=-np.inf) > times * limit) for view, one in zip(views, far)]
 
-    search = _Search(measurer, spectrum, views, sign, limit)
+    search = _Search(measurer, spectrum, views, sign, limit, _FEWEST_VIEWS[every])
     if reference is None:
         others = [np.where(np.isfinite(one), np.nan, surroundings(view)) for view, one in zip(views, references)]
         for times in _LEVELS:
@@ -169,11 +170,14 @@ class _Search:
         views: Of the capture.
         sign: -1 where they are below the reference, else 1.
         limit: Least distance from the reference.
+        fewest: Views that agree on a region.
     """
 
-    def __init__(self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float, limit: float) -> None:
+    def __init__(
+        self, measurer: Measurer, spectrum: str, views: list[SearchedView], sign: float, limit: float, fewest: int
+    ) -> None:
         self._measurer, self._spectrum, self._views = measurer, spectrum, views
-        self._sign, self._limit = sign, limit
+        self._sign, self._limit, self._fewest = sign, limit, fewest
         places = [view.points[::2, ::2][view.there[::2, ::2]] for view in views]
         of_view = np.repeat(np.arange(len(views)), [len(some) for some in places])
         everywhere = np.concatenate(places)
@@ -254,7 +258,7 @@ class _Search:
         """Regions that are large enough, and their pixels in the view that sees the most of them, [H, W]."""
         hot = [view.hot(mask) for view, mask in zip(self._views, masks)]
         for region in find_regions(hot, _STEP * self._cell, colder=self._sign < 0):
-            if region.pixels < FEWEST_PIXELS or region.views < _FEWEST_VIEWS:
+            if region.pixels < FEWEST_PIXELS or region.views < self._fewest:
                 continue
             best = region.best_view
             pixels = masks[best] & _inside(self._views[best].points, region, self._cell)
@@ -337,12 +341,8 @@ def _finding(
         reference=float(np.nanmedian(references[pixels])),
         uncertainty=_root_mean_square(sure.half_width[pixels]) if sure is not None else None,
         area=area_of((rows, columns), depth, seen.view.K.double().cpu().numpy()),
-        doubts=() if sure is None else _bits(sure.doubts[pixels]),
+        doubts=() if sure is None else tuple(bit for bit in DOUBTS if (sure.doubts[pixels] & bit).any()),
     )
-
-
-def _bits(doubts: NDArray[np.uint8]) -> tuple[int, ...]:
-    return tuple(bit for bit in DOUBTS if (doubts & bit).any())
 
 
 def _root_mean_square(halves: Array) -> float | None:

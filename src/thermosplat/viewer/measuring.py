@@ -18,7 +18,6 @@ from thermosplat.config.temperature_settings import TemperatureSettings
 from thermosplat.datasets.capture import Frame
 from thermosplat.datasets.frame_tensors import ViewTensors, without_pixels
 from thermosplat.errors import UserError
-from thermosplat.evenly_chosen import evenly_chosen
 from thermosplat.spectra import CELSIUS
 from thermosplat.thermography.certainty import Sure
 from thermosplat.thermography.hot_regions import HotPixels, Region, find_regions
@@ -146,12 +145,12 @@ class Measurer:
         return [(region, views[region.best_view].frame.name) for region in regions]
 
     @torch.no_grad()
-    def searched(self, spectrum: str, width: int = REGION_WIDTH, most: int | None = None) -> Iterator["SearchedView"]:
+    def searched(self, spectrum: str, width: int = REGION_WIDTH, every: int = 1) -> Iterator["SearchedView"]:
         """The views of the capture, rendered as small as regions are looked for in them.
 
         Args:
             width: Of the pictures [px]; those of the capture are not enlarged.
-            most: Views, evenly chosen; None: all.
+            every: Each which view is taken, >= 1.
 
         Raises:
             UserError: There are no photographs to search by.
@@ -162,7 +161,7 @@ class Measurer:
                 "Regions are looked for in the views of the capture, which is not at hand.", "--data FOLDER says where."
             )
         layer, model = Layer("image", spectrum), self.scene.model
-        for frame in evenly_chosen(frames, most or len(frames)):
+        for frame in frames[::every]:
             taken = without_pixels(frame.views[spectrum], self.scene.device).as_pinhole()
             factor = min(1.0, width / taken.width)
             view = resized(taken, max(1, round(factor * taken.width)), max(1, round(factor * taken.height)))
