@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 import warp as wp
 
-from compilation_for_cuda import OTHER_ARCHITECTURES, WHERE_ALL_COMPILE, compile_all
+from compilation_for_cuda import ARCHITECTURES, ENDS, compile_all
 from warp_kernels.binning.tile_binning import binning_kernels
 from warp_kernels.binning.tile_ranges import fill_room_kernel, tile_ranges_kernel
 from warp_kernels.blending.blend_layout import BlendLayout, default_layout
@@ -96,28 +96,33 @@ def test_rendering_compiles_for_cuda(arch: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dtype", "arch"), WHERE_ALL_COMPILE)
-def test_gaussian_kernels_compile_for_cuda(dtype: type, arch: int, tmp_path: Path) -> None:
+def test_gaussian_kernels_compile_for_cuda(tmp_path: Path) -> None:
     """Activations, projection, colours, binning, sums."""
-    compile_all(gaussian_kernels(dtype), arch, tmp_path)
+    compile_all(gaussian_kernels(wp.float32), 90, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arch", OTHER_ARCHITECTURES)
-def test_a_kernel_of_each_kind_compiles_for_every_architecture(arch: int, tmp_path: Path) -> None:
-    """What does the most of its kind: gradients to cameras, a rolling shutter, two opacities, the largest decoder."""
-    layout = max(cuda_layouts(16, 11, 8, wp.float32), key=lambda one: one.segment)
-    dtype = wp.float32
-    variant, along = blend_variant(11, 8, dtype, layout, 3), RayVariant(3, True, True, dtype)
+@pytest.mark.parametrize(("dtype", "arch"), ENDS)
+def test_a_kernel_of_each_kind_compiles(dtype: type, arch: int, tmp_path: Path) -> None:
+    """What does the most of its kind: gradients to cameras, a rolling shutter, two opacities."""
     kernels = [*binning_kernels(dtype, 32), projection_kernel(dtype, "pinhole", False)]
     kernels += [projection_adjoint_kernel(dtype, "pinhole", False, True, True), camera_finish_kernel(dtype)]
     kernels += [color_kernel(dtype, True, ColorVariant(ALL)), color_adjoint_kernel(dtype, ColorVariant(ALL))]
-    kernels += [blend_kernel(variant), blend_adjoint_kernel(variant, False, False), ray_blend_adjoint_kernel(along)]
-    kernels += [distribute_kernel(11, 8, dtype, True, 8, 3), median_depth_kernel(dtype, 1)]
-    if layout.segment > 0:
-        kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
+    kernels += [distribute_kernel(11, 8, dtype, True, 8, 3), median_depth_kernel(dtype, 1), *activation_kernels(dtype)]
     for model in ("pinhole", "fisheye"):  # a fraction and an angle
         kernels += [affine_camera_kernel(dtype, model, True), affine_camera_adjoint_kernel(dtype, model, True, True)]
+    compile_all([*kernels, *camera_position_kernels(dtype)], arch, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [arch for arch in ARCHITECTURES if arch != 90])
+def test_the_largest_kernels_compile_for_every_architecture(arch: int, tmp_path: Path) -> None:
+    """What needs the most registers and shared memory: blending of two opacities, and the largest decoder."""
+    layout = max(cuda_layouts(16, 11, 8, wp.float32), key=lambda one: one.segment)
+    variant, along = blend_variant(11, 8, wp.float32, layout, 3), RayVariant(3, True, True, wp.float32)
+    kernels = [blend_kernel(variant), blend_adjoint_kernel(variant, False, False), ray_blend_adjoint_kernel(along)]
+    if layout.segment > 0:
+        kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
     if arch >= 80:
         largest = max(HIDDEN), True, max(INPUTS)
         kernels += [decode_kernel(*largest), decode_adjoint_kernel(*largest, max(TEAMS))]
@@ -125,15 +130,15 @@ def test_a_kernel_of_each_kind_compiles_for_every_architecture(arch: int, tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "arch"), [*((model, 90) for model in get_args(LensModel)), ("pinhole", 75)])
-def test_lenses_compile_for_cuda(model: LensModel, arch: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("model", get_args(LensModel))
+def test_lenses_compile_for_cuda(model: LensModel, tmp_path: Path) -> None:
     """All lens models, with and without a rolling shutter, with and without gradients to cameras."""
     kernels = [lens_limit_kernel(wp.float32, model), *motion_kernels(wp.float32)]
     kernels += [strand_sum_kernel(wp.float64, length) for length in (STILL_RECORD, ROLLING_RECORD)]
     for rolling in (False, True):
         kernels += [affine_camera_kernel(wp.float32, model, rolling), lens_finish_kernel(wp.float32, rolling)]
         kernels += [affine_camera_adjoint_kernel(wp.float32, model, rolling, posed) for posed in (False, True)]
-    compile_all(kernels, arch, tmp_path)
+    compile_all(kernels, 90, tmp_path)
 
 
 @pytest.mark.slow
@@ -156,14 +161,19 @@ def cuda_layouts(tile_size: int, channels: int, thermal_channels: int, dtype: ty
     }
 
 
+CHANNELS = [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("tile_size", "dtype", "arch"),
-    [*((tile_size, wp.float32, 90) for tile_size in (8, 16, 32)), (16, wp.float32, 75), (16, wp.float64, 90)],
+    ("tile_size", "channels", "thermal_channels", "dtype"),
+    [
+        *((tile_size, *channels, wp.float32) for tile_size in (8, 16, 32) for channels in CHANNELS),
+        (16, 11, 8, wp.float64),
+    ],
 )
-@pytest.mark.parametrize(("channels", "thermal_channels"), [(1, 0), (3, 0), (11, 0), (11, 8), (32, 0)])
 def test_blending_compiles_for_cuda_in_all_layouts(
-    tile_size: int, channels: int, thermal_channels: int, dtype: type, arch: int, tmp_path: Path
+    tile_size: int, channels: int, thermal_channels: int, dtype: type, tmp_path: Path
 ) -> None:
     """Tile sizes, channel counts and block shapes, with and without absgrad; float64 is the accuracy reference."""
     layouts = cuda_layouts(tile_size, channels, thermal_channels, dtype)
@@ -174,4 +184,4 @@ def test_blending_compiles_for_cuda_in_all_layouts(
         kernels = [blend_kernel(variant), blend_adjoint_kernel(variant, absgrad, by_slot)]
         if layout.segment > 0:
             kernels += [segment_light_kernel(variant), join_segments_kernel(variant)]
-        compile_all(kernels, arch, tmp_path / str(number))
+        compile_all(kernels, 90, tmp_path / str(number))
