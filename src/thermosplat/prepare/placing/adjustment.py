@@ -18,6 +18,9 @@ from thermosplat.prepare.registration.rig_camera import UNKNOWNS, Array, RigCame
 
 _COUNT = 150.0
 """So many measurements the edges of an image are worth at most, and its look: neighbouring edge points err together."""
+_COUNT_BESIDE_LOOKS = 30.0
+"""So many the edges of an image are worth where its look counts, too: a ledge below a roof's edge draws all images of
+one flight line aside alike, and other lines see it otherwise."""
 _LEAST_SCALE = 0.7
 """Standard deviation [px] of an edge's place, at least."""
 _FEWEST_MATCHES = 30
@@ -162,7 +165,8 @@ def _of_image(
     if len(points) >= _FEWEST_MATCHES:
         rows = np.einsum("ni,nij->nj", normals, camera.derivatives(edges.points[points]))
         weight = known[points] / (1 + (offsets / scale) ** 2) ** 2
-        weight *= _COUNT / max(weight.sum(), _COUNT) / max(scale / 2, _LEAST_SCALE) ** 2
+        most = _COUNT if window[2] is None else _COUNT_BESIDE_LOOKS
+        weight *= most / max(weight.sum(), most) / max(scale / 2, _LEAST_SCALE) ** 2
         normal[: _POSE + _LENS, : _POSE + _LENS] = (rows * weight[:, None]).T @ rows
         right[: _POSE + _LENS] = (rows * weight[:, None]).T @ offsets
     if expected is not None and window[2] is not None:

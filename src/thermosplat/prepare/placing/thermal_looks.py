@@ -111,11 +111,13 @@ class Shown:
         seen: How many images have each edge point inside, [N].
         total: How many of them show an edge there, and the sum of their looks, [N, 1 + scales].
         images: Numbers of the edge points that each has inside, and what it adds to the total.
+        own: Numbers of the edge points that are contours of its own.
     """
 
     seen: Array
     total: Array
     images: Mapping[int, tuple[NDArray[np.int64], Array]]
+    own: Mapping[int, slice]
 
     def without(self, number: int | None) -> Expected:
         """What all images but one tell."""
@@ -124,6 +126,8 @@ class Shown:
             points, own = self.images[number]
             seen[points] -= 1
             total[points] -= own
+        if number is not None and number in self.own:
+            seen[self.own[number]], total[self.own[number]] = 0, 0
         share = ((total[:, 0] + _BEFORE) / (seen + _OF) - _BY_CHANCE) / (_SURELY - _BY_CHANCE)
         weights, looks = np.where(seen > 0, share.clip(0, 1), 0.0), total[:, 1:] / np.maximum(seen, 1)[:, None]
         return Expected(weights, looks, seen)
@@ -147,7 +151,7 @@ def shown_by(scene: Scene, poses: Mapping[int, Pose], lens: RigCamera, trusted: 
         images[number] = points, np.column_stack([met[0], *looks])
         seen[points] += 1
         total[points] += images[number][1]
-    return Shown(seen, total, images)
+    return Shown(seen, total, images, scene.photographs.of_placed())
 
 
 def edges_shown(scene: Scene, number: int, pose: Pose, lens: RigCamera, weights: Array) -> tuple[float, float]:

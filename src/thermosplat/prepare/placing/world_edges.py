@@ -1,7 +1,7 @@
 """Edges of all photographs in the world, and those of them that a camera elsewhere sees."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2  # noqa: F401  before pycolmap, see datasets/lens.py
@@ -47,28 +47,38 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Photographs:
-    """Photographs with a pose, and their edges.
+    """Photographs with a pose, and their edges; and those of thermal images that are placed, if there are some.
 
     Args:
         poses: Of each.
-        edges: Edges in the world's axes, in the photographs' order.
+        edges: Edges in the world's axes, in the order of the photographs and then of ``placed``.
+        placed: Poses of thermal images by number.
     """
 
     poses: Sequence[Pose]
     edges: EdgePoints
+    placed: Mapping[int, Pose] = field(default_factory=dict)
+
+    def of_placed(self) -> dict[int, slice]:
+        """Numbers of the edge points of each placed thermal image."""
+        first = len(self.poses)
+        bounds = np.searchsorted(self.edges.frame, np.arange(first, first + len(self.placed) + 1))
+        return {number: slice(*bounds[k : k + 2]) for k, number in enumerate(self.placed)}
 
     def near(self, pose: Pose, most: int) -> list[int]:
-        """The photographs that look about where a camera looks, from near it, the nearest first.
+        """The photographs that look about where a camera looks, from near it, the nearest first; then thermal images.
 
         Args:
             pose: The camera's.
-            most: How many.
+            most: How many of each.
         """
-        axes = np.array([other.rotation[2] for other in self.poses])
+        count, others = len(self.poses), [*self.poses, *self.placed.values()]
+        axes = np.array([other.rotation[2] for other in others])
         angle = np.arccos(np.clip(axes @ pose.rotation[2], -1, 1))
-        apart = np.linalg.norm([other.centre - pose.centre for other in self.poses], axis=1)
-        usual = np.median(np.sort(apart)[:_USUAL_NEIGHBOURS]) + 1e-9
-        return [int(number) for number in np.argsort(apart / usual + PER_RADIAN * angle)[:most]]
+        apart = np.linalg.norm([other.centre - pose.centre for other in others], axis=1)
+        usual = np.median(np.sort(apart[:count])[:_USUAL_NEIGHBOURS]) + 1e-9
+        order = np.argsort(apart / usual + PER_RADIAN * angle)
+        return [int(number) for number in (*order[order < count][:most], *order[order >= count][:most])]
 
     def before(self, camera: RigCamera, photographs: Sequence[int], weights: Array | None = None) -> NDArray[np.int64]:
         """Numbers of the edge points of some photographs that lie before a camera and not far aside.

@@ -5,7 +5,7 @@ semi-global matching (OpenCV) gives depths, and Canny's edges are taken to space
 around them. A silhouette belongs to the object in front.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,6 +52,14 @@ class EdgePoints:
     points: Array
     along: Array
 
+    @classmethod
+    def joined(cls, parts: Iterable["EdgePoints"]) -> "EdgePoints":
+        """Those of all parts, one part after another; none of no part."""
+        lists = [(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))]
+        lists += [(part.frame, part.points, part.along) for part in parts]
+        frame, points, along = (np.concatenate(values) for values in zip(*lists))
+        return cls(frame, points, along)
+
 
 def photograph_edges(
     model: pycolmap.Reconstruction, images: Sequence[pycolmap.Image], folder: Path, width: int, most: int
@@ -74,9 +82,7 @@ def photograph_edges(
                 chosen = chosen_edges(outline, strength, most)
                 found.append(EdgePoints(np.full(len(chosen), number), points[chosen], along[chosen]))
             advance(1)
-    empty = EdgePoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
-    parts = [empty, *found]
-    return EdgePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in ("frame", "points", "along")))
+    return EdgePoints.joined(found)
 
 
 def chosen_edges(outline: NDArray[np.bool_], strength: NDArray[np.float32], most: int) -> NDArray[np.int64]:
