@@ -53,6 +53,8 @@ def test_they_are_edges_to_all_images_but_their_own() -> None:
     for number, own in scene.photographs.of_placed().items():
         assert not shown.without(number).seen[own].any()
         assert not shown.without(number).weights[own].any()
+    of_others = shown_by(scene, POSES, NIGHT.lens, [2, 3])
+    assert not of_others.without(5).seen[scene.photographs.of_placed()[5]].any()
     together = shown.without(None)
     contours = scene.photographs.edges.frame >= len(scene.photographs.poses)
     assert together.weights[contours & (together.seen > 2)].mean() > 0.6

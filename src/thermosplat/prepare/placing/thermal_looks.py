@@ -8,6 +8,7 @@ photographs and of temperature agree. An image is judged by what others show, ne
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -120,17 +121,27 @@ class Shown:
     own: Mapping[int, slice]
 
     def without(self, number: int | None) -> Expected:
-        """What all images but one tell."""
-        seen, total = self.seen.copy(), self.total.copy()
-        if number is not None and number in self.images:
-            points, own = self.images[number]
-            seen[points] -= 1
-            total[points] -= own
-        if number is not None and number in self.own:
-            seen[self.own[number]], total[self.own[number]] = 0, 0
-        share = ((total[:, 0] + _BEFORE) / (seen + _OF) - _BY_CHANCE) / (_SURELY - _BY_CHANCE)
-        weights, looks = np.where(seen > 0, share.clip(0, 1), 0.0), total[:, 1:] / np.maximum(seen, 1)[:, None]
+        """What all images but one tell, by edges that are not its own contours."""
+        if number is None:
+            return self._by_all
+        weights, looks, seen = self._by_all.weights.copy(), self._by_all.looks.copy(), self.seen.copy()
+        if number in self.own:
+            weights[self.own[number]] = seen[self.own[number]] = 0
+        if number in self.images:
+            points, mine = self.images[number]
+            seen[points] = np.maximum(seen[points] - 1, 0)
+            weights[points], looks[points] = _told(self.total[points] - mine, seen[points])
         return Expected(weights, looks, seen)
+
+    @cached_property
+    def _by_all(self) -> Expected:
+        return Expected(*_told(self.total, self.seen), self.seen)
+
+
+def _told(total: Array, seen: Array) -> tuple[Array, Array]:
+    """Weights [N] and looks [N, scales] by how many images show an edge and the sum of their looks."""
+    share = ((total[:, 0] + _BEFORE) / (seen + _OF) - _BY_CHANCE) / (_SURELY - _BY_CHANCE)
+    return np.where(seen > 0, share.clip(0, 1), 0.0), total[:, 1:] / np.maximum(seen, 1)[:, None]
 
 
 def shown_by(scene: Scene, poses: Mapping[int, Pose], lens: RigCamera, trusted: Collection[int]) -> Shown:
