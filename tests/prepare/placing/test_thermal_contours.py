@@ -1,4 +1,4 @@
-"""Contours of temperature that no photograph shows."""
+"""Contours of temperature beside the photographs' edges."""
 
 from dataclasses import replace
 

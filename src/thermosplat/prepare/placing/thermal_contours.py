@@ -1,4 +1,4 @@
-"""Contours of temperature as points in space, for what no photograph shows: a buried pipe, a warm stain.
+"""Contours of temperature as points in space, beside the edges that photographs show.
 
 Each placed thermal image has contours of its own. They lie as deep as the photographs' edges around them, where these
 lie on one surface. To the other images they are edges as those of photographs are.
