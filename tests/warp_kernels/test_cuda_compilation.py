@@ -104,14 +104,17 @@ def test_gaussian_kernels_compile_for_cuda(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "arch"), ENDS)
 def test_a_kernel_of_each_kind_compiles(dtype: type, arch: int, tmp_path: Path) -> None:
-    """What does the most of its kind: gradients to cameras, a rolling shutter, two opacities."""
+    """What does the most of its kind: gradients to cameras, a rolling shutter, two opacities, rays."""
     kernels = [*binning_kernels(dtype, 32), projection_kernel(dtype, "pinhole", False)]
     kernels += [projection_adjoint_kernel(dtype, "pinhole", False, True, True), camera_finish_kernel(dtype)]
     kernels += [color_kernel(dtype, True, ColorVariant(ALL)), color_adjoint_kernel(dtype, ColorVariant(ALL))]
     kernels += [distribute_kernel(11, 8, dtype, True, 8, 3), median_depth_kernel(dtype, 1), *activation_kernels(dtype)]
     for model in ("pinhole", "fisheye"):  # a fraction and an angle
         kernels += [affine_camera_kernel(dtype, model, True), affine_camera_adjoint_kernel(dtype, model, True, True)]
-    compile_all([*kernels, *camera_position_kernels(dtype)], arch, tmp_path)
+    along = RayVariant(3, True, True, dtype)
+    kernels += [ray_blend_kernel(along), ray_blend_adjoint_kernel(along), finish_moments_kernel(dtype)]
+    kernels += [strand_sum_kernel(dtype, 3), *camera_position_kernels(dtype)]
+    compile_all(kernels, arch, tmp_path)
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
     scene, placed = _by_looks(scene, known)
     for _ in range(_ROUNDS_BY_LOOKS):
         if not placed.right:
-            return placed
+            break
         poses = {**known.poses, **placed.known.poses}
         missing = [number for number in poses if number not in placed.right]
         shown = shown_by(scene, poses, placed.known.lens, placed.right)
