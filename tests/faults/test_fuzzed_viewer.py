@@ -219,7 +219,7 @@ def test_strange_pages_and_requests(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 def test_thousands_of_strange_pages_and_requests() -> None:
     """In a process of their own, each in bounded time and memory."""
-    run_apart(__file__, 5000)
+    run_apart(__file__, 2000)
 
 
 if __name__ == "__main__":

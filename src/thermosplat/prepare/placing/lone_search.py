@@ -18,7 +18,7 @@ _STARTS = 1.5 * np.concatenate([np.eye(3), -np.eye(3)])
 """Places around one from which an image is searched [standard deviations of its place]."""
 _NOT_TURNED = 1 + 2 * np.cos(np.radians(25.0))
 """Trace of the largest turn of an image's last pose against the direction that is expected."""
-_ALONE: list[Window] = [*[(5.0, 2.0, None)] * 3, *[(3.0, 1.25, None)] * 3, *[(2.0, 0.75, None)] * 2]
+ALONE: list[Window] = [*[(5.0, 2.0, None)] * 3, *[(3.0, 1.25, None)] * 3, *[(2.0, 0.75, None)] * 2]
 """Windows of the adjustment of one image."""
 
 
@@ -50,7 +50,7 @@ def best_pose(scene: Scene, number: int, known: Adjusted, expected: Expected, di
         )
 
     def best_of(poses: Sequence[Pose]) -> tuple[float, Pose]:
-        ended = [aligned(scene, number, pose, known, _ALONE, expected) for pose in poses]
+        ended = [aligned(scene, number, pose, known, ALONE, expected) for pose in poses]
         off = [float(np.linalg.norm(pose.centre - place)) / known.deviation for pose in ended]
         shows = [edges_shown(scene, number, pose, known.lens, expected.weights)[1] for pose in ended]
         return max(zip(np.subtract(shows, np.square(off) / 2), ended), key=lambda one: one[0])

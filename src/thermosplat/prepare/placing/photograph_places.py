@@ -5,7 +5,8 @@ one true place in two. So images that were taken one after another decide togeth
 (Viterbi, 1967) changes them little from image to image.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -47,13 +48,64 @@ def asked_places(photographs: Photographs) -> list[Pose]:
     return evenly_chosen(photographs.poses, _MOST_PLACES)
 
 
+def _distances(poses: Sequence[Pose]) -> Array:
+    """Distances of cameras, [poses, poses]."""
+    centres = np.array([pose.centre for pose in poses])
+    apart: Array = np.linalg.norm(centres[:, None] - centres, axis=2)
+    return apart
+
+
+def turns_between(poses: Sequence[Pose]) -> Array:
+    """Angles [rad] by which cameras are turned from each other, [poses, poses]."""
+    traces = np.einsum("aij,bij->ab", *[[pose.rotation for pose in poses]] * 2)
+    angles: Array = np.arccos(np.clip((traces - 1) / 2, -1, 1))
+    return angles
+
+
 def spacing(poses: Sequence[Pose]) -> float:
     """Median distance of cameras from the nearest one elsewhere."""
-    apart = _apart(poses)
+    apart = _distances(poses)
     return float(np.median(np.where(apart > 0, apart, np.inf).min(axis=1)))
 
 
-def path_through(
+@dataclass(frozen=True, eq=False)
+class Agreements:
+    """How well thermal images agree with what is seen near photographs.
+
+    Args:
+        photographs: The photographs.
+        lens: The thermal lens.
+        edges_of: How many photographs' edges are drawn.
+        starts: Poses near which each image was searched: of photographs, in quarter turns.
+        scores: Best score of each image near each of them, [images, starts].
+        found: The poses that have these scores, by image and start: turned, not moved.
+    """
+
+    photographs: Photographs
+    lens: RigCamera
+    edges_of: int
+    starts: Sequence[Pose]
+    scores: Array
+    found: Mapping[tuple[int, int], Pose]
+
+    def path(self) -> Path:
+        """The path of the images past the photographs."""
+        path, score = _best_path(_beyond_chance(self.scores), _steps(self.starts))
+        poses = [self.found[image, number] for image, number in enumerate(path)]
+        return Path(poses, [self.moved(image, number) for image, number in enumerate(path)], score)
+
+    def moved(self, image: int, number: int) -> Pose:
+        """A pose that looks where a start does and sees in its middle what the found one does, which is turned."""
+        start, pose = self.starts[number], self.found[image, number]
+        seen = self.photographs.before(start.camera(self.lens), self.photographs.near(start, self.edges_of))
+        points = self.photographs.edges.points[seen]
+        depth = float(np.median((points - start.centre) @ start.rotation[2])) if len(points) else 0.0
+        towards = start.rotation @ pose.rotation[2]
+        back = rotation_between(pose.rotation @ start.rotation[2], np.array([0.0, 0.0, 1.0]))
+        return Pose(back @ pose.rotation, start.centre + depth * (towards / towards[2] - [0, 0, 1]) @ start.rotation)
+
+
+def agreements(
     photographs: Photographs,
     fields: Sequence[Field],
     lens: RigCamera,
@@ -61,8 +113,8 @@ def path_through(
     *,
     edges_of: int,
     weights: Array | None = None,
-) -> Path:
-    """The path of thermal images past the photographs.
+) -> Agreements:
+    """Thermal images compared with what is seen near all photographs.
 
     Args:
         photographs: The photographs.
@@ -84,19 +136,7 @@ def path_through(
                 [(score, pose)] = view.peaks(sought, _REACH, most=1)
                 if score > scores[image, number]:
                     scores[image, number], found[image, number] = score, pose
-    path, score = _best_path(_beyond_chance(scores), _steps(starts))
-    poses = [found[image, number] for image, number in enumerate(path)]
-    moved = [_moved(photographs, starts[number], pose, lens, edges_of) for number, pose in zip(path, poses)]
-    return Path(poses, moved, score)
-
-
-def _moved(photographs: Photographs, start: Pose, pose: Pose, lens: RigCamera, edges_of: int) -> Pose:
-    """A pose that looks where the start does and sees in its middle what another one does, which is turned from it."""
-    points = photographs.edges.points[photographs.before(start.camera(lens), photographs.near(start, edges_of))]
-    depth = float(np.median((points - start.centre) @ start.rotation[2])) if len(points) else 0.0
-    towards = start.rotation @ pose.rotation[2]
-    back = rotation_between(pose.rotation @ start.rotation[2], np.array([0.0, 0.0, 1.0]))
-    return Pose(back @ pose.rotation, start.centre + depth * (towards / towards[2] - [0, 0, 1]) @ start.rotation)
+    return Agreements(photographs, lens, edges_of, starts, scores, found)
 
 
 def _beyond_chance(scores: Array) -> Array:
@@ -109,17 +149,8 @@ def _beyond_chance(scores: Array) -> Array:
 
 def _steps(starts: Sequence[Pose]) -> Array:
     """What each step costs, [starts, starts]."""
-    apart = _apart(starts)
-    traces = np.einsum("aij,bij->ab", *[[start.rotation for start in starts]] * 2)
-    angles = np.arccos(np.clip((traces - 1) / 2, -1, 1))
-    return np.minimum(_PER_SPACING * (apart / spacing(starts) + PER_RADIAN * angles), _AT_MOST)
-
-
-def _apart(poses: Sequence[Pose]) -> Array:
-    """Distances of cameras, [poses, poses]."""
-    centres = np.array([pose.centre for pose in poses])
-    distances: Array = np.linalg.norm(centres[:, None] - centres, axis=2)
-    return distances
+    apart = _distances(starts) / spacing(starts)
+    return np.minimum(_PER_SPACING * (apart + PER_RADIAN * turns_between(starts)), _AT_MOST)
 
 
 def _best_path(scores: Array, steps: Array) -> tuple[NDArray[np.int64], float]:

@@ -15,8 +15,9 @@ what thermal images show alike:
    unlike the others.
 5. The placed ones are adjusted together by edges and looks, and judged again. Contours of their own are edges now,
    too (``thermal_contours``).
-6. What is not placed is searched again by what the placed ones show, and all are adjusted and judged again, in rounds:
-   images of one flight line hold each other, so that a line that is wrong together moves slowly.
+6. What is not placed is searched again by what the placed ones show, without GPS near all photographs. All are adjusted
+   and judged again, in rounds: images of one flight line hold each other, so that a line that is wrong together moves
+   slowly.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from dataclasses import dataclass, replace
 
 from thermosplat.prepare.placing.about_placed import Prior, about_placed, searched_by_temperature
 from thermosplat.prepare.placing.adjustment import ALL, Adjusted, Step, adjusted
-from thermosplat.prepare.placing.by_paths import placed_again, prior_on_path
+from thermosplat.prepare.placing.by_paths import on_the_path, placed_again, prior_on_path, searched_anywhere
 from thermosplat.prepare.placing.soundness import sound
 from thermosplat.prepare.placing.thermal_contours import with_contours
 from thermosplat.prepare.placing.thermal_looks import Scene, ThermalImage, shown_by
@@ -71,24 +72,31 @@ def placed_images(photographs: Photographs, images: Sequence[ThermalImage], gps:
         scene, known = about_placed(photographs, images, prior_on_path(photographs, images))
         for everyone in _AGAIN:
             scene, known = placed_again(scene, known, everyone)
-    plain = scene
-    scene, placed = _by_looks(scene, known)
+    plain, by_path = scene, gps is None
+    scene, placed = _by_looks(scene, known, by_path)
     for _ in range(_ROUNDS_BY_LOOKS):
         if not placed.right:
             break
         poses = {**known.poses, **placed.known.poses}
         missing = [number for number in poses if number not in placed.right]
         shown = shown_by(scene, poses, placed.known.lens, placed.right)
-        poses |= searched_by_temperature(scene, replace(placed.known, poses=poses), shown, missing)
         known = replace(placed.known, poses=poses)
-        scene, placed = _by_looks(scene, known)
+        search = searched_anywhere if by_path else searched_by_temperature
+        found = search(scene, known, shown, missing)
+        known = replace(known, poses=poses | found)
+        if by_path:  # an image that was elsewhere should lie where it was found
+            places = scene.places.copy()
+            for number, pose in found.items():
+                places[number] = pose.centre + known.common_error
+            scene = scene._replace(places=places)
+        scene, placed = _by_looks(scene, known, by_path)
     # by the photographs' edges alone: images that are wrong together agree about contours of their own
     return replace(placed, share=sound(plain, placed.known)[1]) if placed.right else placed
 
 
-def _by_looks(scene: Scene, known: Adjusted) -> tuple[Scene, Placement]:
+def _by_looks(scene: Scene, known: Adjusted, by_path: bool) -> tuple[Scene, Placement]:
     """Images that are about placed by edges, adjusted by what they show alike; and the scene with their contours."""
-    right, share = sound(scene, known)
+    right, share = _placed(scene, known, by_path)
     if not right:
         return scene, Placement(known, right, share)
     known = replace(known, poses={number: known.poses[number] for number in right})
@@ -96,5 +104,11 @@ def _by_looks(scene: Scene, known: Adjusted) -> tuple[Scene, Placement]:
         scene = with_contours(scene, known, right)
         known = adjusted(scene, known, steps, shown_by(scene, known.poses, known.lens, right))
     scene = with_contours(scene, known, right)
-    right, share = sound(scene, known)
+    right, share = _placed(scene, known, by_path)
     return scene, Placement(known, right, share)
+
+
+def _placed(scene: Scene, known: Adjusted, by_path: bool) -> tuple[list[int], float]:
+    """As ``sound``; without GPS images lie on their path, too."""
+    right, share = sound(scene, known)
+    return (on_the_path(known.poses, right) if by_path else right), share
