@@ -37,3 +37,10 @@ def test_images_that_look_elsewhere_are_not_on_it() -> None:
     for number, turn in ((3, aside), (4, around), (11, aside), (12, aside)):
         poses[number] = Pose(turn @ poses[number].rotation, poses[number].centre)
     assert on_the_path(poses, list(poses)) == [number for number in poses if number not in (3, 4, 11, 12)]
+
+
+def test_cameras_that_are_never_turned() -> None:
+    """Of a slide, and of two images alone."""
+    poses = {number: Pose(DOWN, np.array([float(number), 0.0, 10.0])) for number in range(6)}
+    assert on_the_path(poses, list(poses)) == list(poses)
+    assert on_the_path(poses, [2, 4]) == [2, 4]

@@ -45,9 +45,10 @@ _OF_SPACING = 0.25
 the truth as half a spacing."""
 _TRIED = 16
 """Places from which an image that may be anywhere is searched."""
-_SOON, _MOST_TURNED = 3, 6.0
-"""Images before and after one, and how many times as usual it may be turned, from image to image, from the second
-nearest of them: up to 3.9 on three real and five rendered captures, from 8 on where a flight's image is wrong."""
+_SOON, _MOST_TURNED, _LEAST_USUAL = 3, 6.0, np.radians(0.5)
+"""Images before and after one, how many times as usual it may be turned, from image to image, from the second nearest
+of them, and what is taken for usual at least [rad]. Three real and five rendered captures turn up to 3.8 times as
+usual, wrong images of a flight from 8 times on. The least is an open choice."""
 _LEAST_OF_SPACING = 1 / 32
 """The same of places to which a search leads back. Open choice."""
 
@@ -123,11 +124,14 @@ def on_the_path(poses: Mapping[int, Pose], numbers: Sequence[int]) -> list[int]:
         poses: Their poses.
         numbers: The images, in the order in which they were taken.
     """
+    if len(numbers) <= 2:
+        return list(numbers)
     order = np.array(numbers)
     later = np.abs(order[:, None] - order)
     turns = turns_between([poses[number] for number in numbers]) / np.maximum(later, 1)
     turns = np.sort(np.where((later > 0) & (later <= _SOON), turns, np.inf), axis=1)[:, 1]
-    return [number for number, turn in zip(numbers, turns) if turn < _MOST_TURNED * np.median(turns)]
+    usual = max(float(np.median(turns)), _LEAST_USUAL)
+    return [number for number, turn in zip(numbers, turns) if turn < _MOST_TURNED * usual]
 
 
 def _best_of(scene: Scene, number: int, known: Adjusted, expected: Expected, tried: Sequence[Pose]) -> Pose:
