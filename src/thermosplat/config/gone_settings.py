@@ -68,6 +68,7 @@ GONE = {
     "model.feature_noise": Gone((0.2,)),
     "model.init_scale": Gone((1.0,), "First scales are the root mean square distance to the 3 nearest points."),
     "decoder.hidden_layers": Gone((2,), shapes_images=True),
+    "decoder.covered_only": Gone((True,), "The background shows where no Gaussian is.", shapes_images=True),
     "decoder.hybrid_bias": Gone((-4.0,)),
     **{
         f"loss.{name}": Gone((value,))

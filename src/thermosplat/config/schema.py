@@ -39,10 +39,6 @@ class DecoderConfig:
     hybrid: bool = True
     """A photograph that comes first in the list of spectra is the SH render plus the decoded part. Off: the decoded
     part alone (ablation "w/o hybrid RGB")."""
-    covered_only: bool = True
-    """Multiply decoded images by the accumulated opacity, so that the background shows where no Gaussian is, as in
-    3DGS. Off: there the networks' answer to zero features shows, which nothing has taught them where the training
-    views did not look. Open choice."""
     padding: float = 0.0
     """How far beyond 0 and 1 images that are decoded alone may reach. At 0 logits sink without end where images are 0,
     and what they take along comes back slowly, since the sigmoid has no slope there. Mip-NeRF has 0.001. Open choice

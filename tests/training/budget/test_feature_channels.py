@@ -192,7 +192,7 @@ def test_what_no_image_shows_and_losses_see_alone_is_kept() -> None:
 
 def model_of_two_halves() -> tuple[SceneModel, Optimizers, FrameTensors]:
     """A model of which RGB sees the first four channels of the features and thermal the others."""
-    decoder = {"branches": "separate", "modulation": False, "covered_only": True}
+    decoder = {"branches": "separate", "modulation": False}
     model, optimizers, change = model_of_rank(8, decoder=decoder)
     with torch.no_grad():
         model.formations.decoder.networks["rgb"][0].weight[:, 4:] = 0.0  # type: ignore[union-attr,index]

@@ -100,14 +100,16 @@ class DecodedFormation(Formation):
         padding = self.settings.padding  # Mip-NeRF's; the sum has no range to widen
         image = decoded if padding == 0 else (1.0 + 2.0 * padding) * decoded - padding
         base = None
-        if self.takes_colors and self.settings.covered_only and blended.background is not None:
+        if self.takes_colors and blended.background is not None:
             base = (1.0 - blended.alpha) * blended.background
         return self._covered(image, blended.alpha, base)
 
     def _covered(self, decoded: Tensor, alpha: Tensor, base: Tensor | None) -> Tensor:
-        """A decoded image as far as Gaussians cover it, added to ``base``, or black, the lowest value."""
-        if not self.settings.covered_only:
-            return decoded if base is None else base + decoded
+        """A decoded image as far as Gaussians cover it, added to ``base``, or black, the lowest value.
+
+        So the background shows where no Gaussian is, as in 3DGS: there the networks' answer to zero features is one
+        that nothing has taught them. Open choice.
+        """
         if decoded.is_cuda:
             return warp_covered(decoded, alpha, base)
         covered = alpha * decoded
@@ -122,7 +124,7 @@ class DecodedFormation(Formation):
         """As of ``Formation``: the decoded part, before its range is widened."""
         inputs, decoder = self._there(self.decoder_input(features, view)), self.common.decoder
         decoded = self._there(None if decoder is None else decoder.image(self.name, inputs.flatten(0, 1)[::every]))
-        return decoded * alpha.detach().flatten()[::every, None] if self.settings.covered_only else decoded
+        return decoded * alpha.detach().flatten()[::every, None]
 
     def image_of(self, gaussians: Gaussians) -> Tensor:
         """As of ``Formation``: its own features decoded as if they alone filled a pixel, A_f = f."""
