@@ -1,7 +1,7 @@
 """What is known of the places of thermal images without GPS: the best path past the photographs.
 
 The focal length is the one whose path is best. Once some images are placed, edges of temperature tell the path of the
-others far better than all edges do.
+others far better than all edges do. What is still missing is searched near all photographs.
 """
 
 from collections.abc import Mapping, Sequence
