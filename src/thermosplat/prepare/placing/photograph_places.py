@@ -33,12 +33,10 @@ class Path(NamedTuple):
     """The places of thermal images.
 
     Args:
-        poses: Of each, at a photograph's place, turned.
-        moved: Of each, at a place beside, about as the photograph looks: it shows the same of a plane.
+        moved: Of each, at a place beside a photograph's, about as that one looks: it shows the same of a plane.
         score: How well they agree, the more the better.
     """
 
-    poses: list[Pose]
     moved: list[Pose]
     score: float
 
@@ -90,9 +88,8 @@ class Agreements:
 
     def path(self) -> Path:
         """The path of the images past the photographs."""
-        path, score = _best_path(_beyond_chance(self.scores), _steps(self.starts))
-        poses = [self.found[image, number] for image, number in enumerate(path)]
-        return Path(poses, [self.moved(image, number) for image, number in enumerate(path)], score)
+        numbers, score = _best_path(_beyond_chance(self.scores), _steps(self.starts))
+        return Path([self.moved(image, number) for image, number in enumerate(numbers)], score)
 
     def moved(self, image: int, number: int) -> Pose:
         """A pose that looks where a start does and sees in its middle what the found one does, which is turned."""
